@@ -1,6 +1,7 @@
 """Inertial measurement unit: samples, and the parameters of its errors."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Literal, Self
 
@@ -92,15 +93,24 @@ class ImuSamples:
         Raises:
             ConfigError: The batches differ in `sampling`, or their time stamps do not increase.
         """
-        if later.sampling != self.sampling and len(self) and len(later):
-            raise ConfigError(
-                f"IMU batches with sampling {self.sampling!r} and {later.sampling!r}; expected the same for both"
-            )
-        return type(self)(
-            np.concatenate([self.t_ns, later.t_ns]),
-            np.concatenate([self.gyro_rad_s, later.gyro_rad_s]),
-            np.concatenate([self.accel_m_s2, later.accel_m_s2]),
-            later.sampling,
+        return self.concatenated([self, later])
+
+    @classmethod
+    def concatenated(cls, batches: Sequence[Self]) -> Self:
+        """Return batches in succession, one or more, as one.
+
+        Raises:
+            ConfigError: The batches differ in `sampling`, or their time stamps do not increase.
+        """
+        samplings = list(dict.fromkeys(batch.sampling for batch in batches if len(batch)))
+        if len(samplings) > 1:
+            found = " and ".join(map(repr, samplings))
+            raise ConfigError(f"IMU batches with sampling {found}; expected the same for all")
+        return cls(
+            np.concatenate([batch.t_ns for batch in batches]),
+            np.concatenate([batch.gyro_rad_s for batch in batches]),
+            np.concatenate([batch.accel_m_s2 for batch in batches]),
+            samplings[0] if samplings else batches[-1].sampling,
         )
 
     def increments(self) -> Self:

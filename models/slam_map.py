@@ -28,7 +28,8 @@ class SlamMap:
     Ts_map_imu: Array
     """(K, 4, 4) Poses of the IMU at the keyframes in the map frame, after the optimization."""
     Ts_odom_imu: Array
-    """(K, 4, 4) Poses of the IMU at the keyframes in the odometry frame, before it."""
+    """(K, 4, 4) Poses of the IMU at the keyframes in the odometry frame, before it. Of a final map with loops, they are
+    those of the causal path."""
     loops: Rows
     """(L, 2) Rows of the earlier and of the later keyframe of each loop."""
     Ts_then_now: Array

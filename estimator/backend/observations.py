@@ -1,5 +1,6 @@
 """Observations of landmarks as a table: landmark, keyframe, camera, image coordinates and uncertainty of each."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Self
 
@@ -56,8 +57,12 @@ class ObservationTable:
 
     def __add__(self, other: Self) -> Self:
         """Return the rows of this table followed by those of another."""
-        pairs = ((getattr(self, each.name), getattr(other, each.name)) for each in fields(self))
-        return type(self)(*(np.concatenate(pair) for pair in pairs))
+        return self.concatenated([self, other])
+
+    @classmethod
+    def concatenated(cls, tables: Sequence[Self]) -> Self:
+        """Return the rows of tables, one or more, in succession."""
+        return cls(*(np.concatenate([getattr(table, each.name) for table in tables]) for each in fields(cls)))
 
     @property
     def variance_growth(self) -> Array:

@@ -1,13 +1,17 @@
 """Visual-inertial bundle adjustment of a map: all keyframes, landmarks, IMU measurements and loops together.
 
 The pose graph summarizes the odometry by relative poses. Here its measurements are used again, with all later
-knowledge: GTSAM's preintegrated IMU factors between keyframes, reprojection factors of the landmarks with a robust
-loss, and the loops as relative poses (Mur-Artal and Tardós, "Visual-inertial monocular SLAM with map reuse", RA-L 2017;
-Qin et al., T-RO 2018). It is section 7.4.3 of the book as one factor graph.
+knowledge: GTSAM's preintegrated IMU factors between keyframes, and reprojection factors of the landmarks with a robust
+loss (Mur-Artal and Tardós, "Visual-inertial monocular SLAM with map reuse", RA-L 2017; Qin et al., T-RO 2018). It is
+section 7.4.3 of the book as one factor graph.
+
+A loop enters it by the landmarks of the earlier visit that the later keyframe sees. Its relative pose would not do with
+one camera: its position is as wrong as the scale of the landmarks then, and since the residual is in metres, a smaller
+map would have smaller residuals.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import gtsam
@@ -44,6 +48,10 @@ class AdjustmentConfig(Settings):
     """Largest reprojection error of a landmark by the initial poses [px]."""
     iterations: Annotated[int, Range(1, 100)] = 15
     """Largest number of Levenberg-Marquardt steps."""
+    tolerance: Annotated[float, Range(1e-9, 1.0)] = 1e-3
+    """Relative decrease of the error at which the steps end."""
+    landmark_step: Annotated[int, Range(1, 1000)] = 1
+    """Every how many-th landmark is used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +83,7 @@ class AdjustmentInputs:
     keyframes: Sequence[AdjustmentKeyframe]
     """Keyframes in the order of time."""
     loops: Sequence[RelativePose]
-    """Loops between them."""
+    """Loops between them; those without observations are used as relative poses."""
     imu: ImuSamples
     """IMU samples from before the first to after the last keyframe."""
     imu_model: ImuModel
@@ -106,13 +114,15 @@ def adjust(inputs: AdjustmentInputs, config: AdjustmentConfig) -> dict[int, Arra
     _add_priors(graph, inputs)
     _add_imu_factors(graph, inputs)
     for loop in inputs.loops:
+        if len(loop.observations):  # they take its place
+            continue
         noise = gtsam.noiseModel.Gaussian.Covariance(loop.covariance)
         T = gtsam.Pose3(loop.T_first_second)
         graph.add(gtsam.BetweenFactorPose3(X(loop.first), X(loop.second), T, noise))
     _add_landmarks(graph, values, inputs, config)
     params = gtsam.LevenbergMarquardtParams()
     params.setMaxIterations(config.iterations)
-    params.setRelativeErrorTol(1e-4)
+    params.setRelativeErrorTol(config.tolerance)
     solution = gtsam.LevenbergMarquardtOptimizer(graph, values, params).optimize()
     return {keyframe.number: solution.atPose3(X(keyframe.number)).matrix() for keyframe in keyframes}
 
@@ -166,7 +176,7 @@ def _add_landmarks(
         strict=True,
     )
     for landmark, keyframe, camera, xy, scale in rows:
-        noise = gtsam.noiseModel.Isotropic.Sigma(2, scale * config.pixel_sigma / focal_px)
+        noise = gtsam.noiseModel.Isotropic.Sigma(2, scale / focal_px)
         robust = gtsam.noiseModel.Robust.Create(loss, noise)
         graph.add(
             gtsam.GenericProjectionFactorCal3_S2(
@@ -176,9 +186,17 @@ def _add_landmarks(
 
 
 def _triangulated(inputs: AdjustmentInputs, config: AdjustmentConfig) -> tuple[ObservationTable, Mapping[int, Array]]:
-    """Return the observations of the landmarks that are used, and the landmarks (3,) by their identities."""
-    tables = [keyframe.observations for keyframe in inputs.keyframes]
-    table = sum(tables[1:], tables[0]).by_landmark()
+    """Return the observations of the landmarks that are used, and the landmarks (3,) by their identities.
+
+    Standard deviations are in pixels.
+    """
+    tracks = ObservationTable.concatenated([keyframe.observations for keyframe in inputs.keyframes])
+    tracks = replace(tracks, sigma_scale=config.pixel_sigma * tracks.sigma_scale)
+    table = ObservationTable.concatenated([tracks, *(loop.observations for loop in inputs.loops)])
+    table = table[table.landmark % config.landmark_step == 0].by_landmark()
+    # A keyframe may see a landmark by several loops, since a track spans several earlier keyframes.
+    of_one = np.column_stack([table.landmark, table.keyframe, table.camera])
+    table = table[np.sort(np.unique(of_one, axis=0, return_index=True)[1])]
     table, starts, counts = _with_views(table, config.min_views)
     Ts = {k.number: k.T_map_imu @ inputs.calibration.Ts_imu_cam for k in inputs.keyframes}
     T = np.stack([Ts[k][c] for k, c in zip(table.keyframe.tolist(), table.camera.tolist(), strict=True)])

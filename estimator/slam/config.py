@@ -1,11 +1,11 @@
 """Settings of visual SLAM, beside those of its odometry."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig
 from dronevio.estimator.slam.mapping import MappingConfig
 from dronevio.estimator.slam.recognizer import PlaceConfig
-from dronevio.estimator.slam.schedule import DelayConfig
+from dronevio.estimator.slam.schedule import AdjustmentScheduleConfig, DelayConfig
 from dronevio.models.ranges import Settings
 
 
@@ -18,8 +18,15 @@ class SlamConfig(Settings):
     mapping: MappingConfig = field(default_factory=MappingConfig)
     """Settings of the mapper."""
     adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
-    """Settings of the bundle adjustment of the final map."""
+    """Settings of the bundle adjustment of the map."""
+    adjustment_schedule: AdjustmentScheduleConfig = field(default_factory=AdjustmentScheduleConfig)
+    """When the map is adjusted during the flight."""
     correction_delay: DelayConfig = field(default_factory=DelayConfig)
     """Delay between a keyframe that joins the map and the correction of the estimate by it."""
     worker: bool = True
     """Build the map in a worker process, while the odometry goes on; results do not depend on it."""
+
+    @property
+    def online_adjustment(self) -> AdjustmentConfig:
+        """Settings of the bundle adjustment during the flight."""
+        return replace(self.adjustment, landmark_step=self.adjustment_schedule.landmark_step)

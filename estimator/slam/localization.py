@@ -61,6 +61,8 @@ class LocalizationConfig(Settings):
 class LandmarkPatches:
     """Small images around the landmarks of a keyframe."""
 
+    landmark: Integers
+    """(L,) Identities of the landmarks; -1 in a loaded map, whose former measurements are not known."""
     points_imu: Array
     """(L, 3) Positions of the landmarks in the IMU frame of the keyframe [m]."""
     pixels: Array
@@ -101,7 +103,7 @@ def landmark_patches(keyframe: MapKeyframe, images: KeyframeImages, config: Loca
         of_camera = camera == index
         u, v = centre[of_camera].T
         tiles[of_camera] = images.images[index][v[:, None, None] + line[:, None], u[:, None, None] + line]
-    return LandmarkPatches(keyframe.landmarks_imu[landmark], pixels, camera, tiles)
+    return LandmarkPatches(keyframe.landmark_ids[landmark], keyframe.landmarks_imu[landmark], pixels, camera, tiles)
 
 
 class Localizer:
@@ -142,7 +144,7 @@ class Localizer:
         if len(rows) < c.min_inliers:
             return None
         camera = patches.camera[rows]
-        old = Correspondences(patches.points_imu[rows], camera, xy, camera)
+        old = Correspondences(patches.landmark[rows], patches.points_imu[rows], camera, xy, camera)
         new = old[np.zeros(0, np.int64)]
         Ts_imu_cam = np.stack([each.T_imu_cam for each in rig.cameras])
         focal_px = np.array([each.model.fx for each in rig.cameras])
@@ -154,7 +156,8 @@ class Localizer:
         agrees = error < c.max_error_sigmas
         if agrees.sum() < c.min_inliers or agrees.mean() < c.min_inlier_ratio:
             return None
-        return RelativePose.measured(match.number, query.number, fit.T_match_query, fit.covariance)
+        observations = old[agrees].observed_by(query.number, c.pose.pixel_sigma)
+        return RelativePose.measured(match.number, query.number, fit.T_match_query, fit.covariance, observations)
 
     def _aligned(
         self, patches: LandmarkPatches, index: int, images: KeyframeImages, T_match_query: Array

@@ -14,13 +14,16 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
+from dronevio.estimator.slam.adjuster import Adjuster, LocalAdjuster
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.features import PlaceFeatureExtractor
+from dronevio.estimator.slam.flight_measurements import FlightMeasurements, KeyframeMeasurements
 from dronevio.estimator.slam.localization import KeyframeImages
 from dronevio.estimator.slam.mapping import KeyframeView, Mapper
 from dronevio.estimator.slam.recognizer import PlaceRecognizer
 from dronevio.estimator.slam.saved_map import KnownMap
+from dronevio.estimator.slam.schedule import AdjustmentSchedule
 from dronevio.estimator.types import Observations
 from dronevio.models.rig import Rig
 
@@ -61,6 +64,8 @@ class MarginalizedKeyframe:
     """The keyframe as it was added."""
     estimate: KeyframeEstimate
     """Its final estimate."""
+    measured: KeyframeMeasurements | None = None
+    """Its measurements, for the bundle adjustment of the map; without them, the map is not adjusted."""
 
 
 @dataclass(frozen=True)
@@ -121,13 +126,14 @@ class OdometryMap(Protocol):
 class MapBuilder:
     """Builds a map from the messages of an odometry."""
 
-    def __init__(self, rig: Rig, config: SlamConfig, known: KnownMap | None = None) -> None:
+    def __init__(self, rig: Rig, config: SlamConfig, known: KnownMap | None, adjuster: Adjuster) -> None:
         """Begin with an empty map, or continue a saved one.
 
         Args:
             rig: The calibration.
             config: Settings.
-            known: A saved map.
+            known: A saved map, which is not adjusted, since it has no measurements; None for an empty one.
+            adjuster: Adjusts the map during the flight.
 
         Raises:
             ConfigError: The map was saved with patches of another size.
@@ -141,6 +147,15 @@ class MapBuilder:
                     recognizer.insert(keyframe)
             self.mapper.load(known)
         self._extractor = PlaceFeatureExtractor(config.places.features)
+        self._measurements = FlightMeasurements(rig.imu) if known is None else None
+        self._schedule = AdjustmentSchedule(config.adjustment_schedule)
+        self._adjuster = adjuster
+        self._keyframes = 0
+
+    @property
+    def adjustment_cpu_s(self) -> float:
+        """Processor time of the adjustments in another process [s]."""
+        return self._adjuster.cpu_s
 
     def process(self, message: MapMessage) -> Correction | None:
         """Return the correction by a message; None if it has none."""
@@ -150,8 +165,29 @@ class MapBuilder:
                 return None
             case WindowKeyframe(keyframe, estimate):
                 return self.mapper.locate(estimate, self._view(keyframe))
-            case MarginalizedKeyframe(keyframe, estimate):
-                return self.mapper.add(estimate, self._view(keyframe))
+            case MarginalizedKeyframe(keyframe, estimate, measured):
+                self._finish_adjustment()
+                correction = self.mapper.add(estimate, self._view(keyframe))
+                if self._measurements is not None and measured is not None:
+                    self._measurements.add(estimate.t_ns, measured)
+                    self._begin_adjustment(self._measurements, correction)
+                return correction
+
+    def _finish_adjustment(self) -> None:
+        """Adjust the map if the result of an adjustment is due at a new keyframe."""
+        self._keyframes += 1
+        if self._schedule.takes_effect(self._keyframes):
+            poses = self._adjuster.result()
+            if poses is not None:
+                self.mapper.adjust(poses)
+
+    def _begin_adjustment(self, measurements: FlightMeasurements, correction: Correction) -> None:
+        """Begin an adjustment if it is time for one and the newest keyframe is in the map."""
+        graph = self.mapper.accepted_graph
+        if graph is None or correction.T_map_odom is None:
+            return
+        if self._schedule.begins(self._keyframes, len(graph.loops)):
+            self._adjuster.start(measurements.inputs(self.mapper.keyframes, graph))
 
     def _view(self, keyframe: ImagedKeyframe) -> KeyframeView:
         """Return what the cameras show at a keyframe."""
@@ -165,7 +201,7 @@ class LocalMap:
 
     def __init__(self, rig: Rig, config: SlamConfig, known: KnownMap | None = None) -> None:
         """Begin with an empty map, or continue a saved one; see `MapBuilder`."""
-        self._builder = MapBuilder(rig, config, known)
+        self._builder = MapBuilder(rig, config, known, LocalAdjuster(config.online_adjustment))
         self._answers: deque[Correction | None] = deque()
         self._results = 0
 

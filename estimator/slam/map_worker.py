@@ -62,7 +62,7 @@ class Answer:
     value: Any
     """The result, None for a message that changes no correction."""
     cpu_s: float
-    """Processor time of the worker since its start was complete [s]."""
+    """Processor time of the worker since its start was complete, and of the adjustments that it has started [s]."""
 
 
 @dataclass(frozen=True)
@@ -116,15 +116,17 @@ def _answer(requests: Connection, answers: Connection) -> None:
     """Answer all requests."""
     import cv2
 
+    from dronevio.estimator.slam.adjuster import ProcessAdjuster
     from dronevio.estimator.slam.map_builder import MapBuilder
 
     cv2.setNumThreads(1)
     start_s = time.process_time()
     begin: Begin = read(requests)
-    builder = MapBuilder(begin.rig, begin.config, begin.known)
+    builder = MapBuilder(begin.rig, begin.config, begin.known, ProcessAdjuster(begin.config.online_adjustment))
     while True:
         request: Update | Question = read(requests)
-        write(answers, Answer(_result(builder, request), time.process_time() - start_s))
+        value = _result(builder, request)
+        write(answers, Answer(value, time.process_time() - start_s + builder.adjustment_cpu_s))
 
 
 def _result(builder: "MapBuilder", request: Update | Question) -> Any:

@@ -193,6 +193,28 @@ class Mapper:
         graph = self.graph
         return None if graph is None else optimize(graph)
 
+    @property
+    def accepted_graph(self) -> PoseGraph | None:
+        """The pose graph of the map with all keyframes, without loops that are rejected or wait; None before the first
+        keyframe.
+        """
+        home = self._submap_of(self._home)
+        if home is None:
+            return None
+        graph, closed = home.whole_graph, self._closed - (set(home.graph.loops) - set(home.closed_loops))
+        return replace(graph, loops=tuple(each for each in graph.loops if each in closed))
+
+    def adjust(self, poses: Mapping[int, Array]) -> None:
+        """Put keyframes of the map where bundle adjustment has put them.
+
+        Args:
+            poses: Adjusted poses (4, 4) in the map frame. If the map has been given up meanwhile, they have no effect.
+        """
+        home = self._submap_of(self._home)
+        if home is not None and poses.keys() <= home.whole_graph.poses.keys():
+            adjusted = home.adjusted(poses, self._keyframes[-1].t_ns)
+            self._submaps = (*(each for each in self._submaps if each is not home), adjusted)
+
     def map_of(self, solution: OptimizedGraph) -> SlamMap:
         """Return the map as arrays, with the poses of a solution."""
         return slam_map(solution, self.keyframes, self._starts_ns)
@@ -396,4 +418,4 @@ def _agree(T: Array, other: Array) -> bool:
 
 def _loop(match: PlaceMatch) -> RelativePose:
     """Return a verified match as a factor of the pose graph."""
-    return RelativePose.measured(match.match, match.query, match.T_match_query, match.covariance)
+    return RelativePose.measured(match.match, match.query, match.T_match_query, match.covariance, match.observations)

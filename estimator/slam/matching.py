@@ -6,6 +6,7 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.backend.observations import ObservationTable
 from dronevio.estimator.slam.keyframe import MapKeyframe
 from dronevio.estimator.slam.vocabulary import hamming_distances
 from dronevio.estimator.types import Integers
@@ -28,6 +29,8 @@ class DescriptorMatchingConfig(Settings):
 class Correspondences:
     """Landmarks of one keyframe that are matched with corners of another one."""
 
+    landmark: Integers
+    """(N,) Identities of the landmarks."""
     points: Array
     """(N, 3) Positions of the landmarks in the IMU frame of their keyframe [m]."""
     point_camera: Integers
@@ -43,7 +46,21 @@ class Correspondences:
 
     def __getitem__(self, rows: npt.NDArray[np.bool_] | Integers) -> "Correspondences":
         """Return some of the correspondences."""
-        return Correspondences(self.points[rows], self.point_camera[rows], self.xy[rows], self.camera[rows])
+        return Correspondences(
+            self.landmark[rows], self.points[rows], self.point_camera[rows], self.xy[rows], self.camera[rows]
+        )
+
+    def observed_by(self, keyframe: int, sigma_px: float) -> ObservationTable:
+        """Return the corners as observations of the landmarks by a keyframe.
+
+        Args:
+            keyframe: Number of the keyframe of the corners.
+            sigma_px: Standard deviation of a corner [px], the scale of the observations' standard deviations.
+        """
+        count, none = len(self), np.zeros(len(self), np.int64)
+        return ObservationTable(
+            self.landmark, np.full(count, keyframe), self.camera, self.xy, np.full(count, sigma_px), none
+        )
 
 
 def match_landmarks(owner: MapKeyframe, other: MapKeyframe, config: DescriptorMatchingConfig) -> Correspondences:
@@ -61,7 +78,7 @@ def match_landmarks(owner: MapKeyframe, other: MapKeyframe, config: DescriptorMa
     corners = other.features
     if not len(rows) or len(corners) < 2:
         nothing = np.zeros(0, np.int64)
-        return Correspondences(np.zeros((0, 3)), nothing, np.zeros((0, 2)), nothing)
+        return Correspondences(nothing, np.zeros((0, 3)), nothing, np.zeros((0, 2)), nothing)
     distance = hamming_distances(owner.features.descriptors[rows], corners.descriptors)
     two = np.argpartition(distance, 1, axis=1)[:, :2]
     pair = np.take_along_axis(distance, two, axis=1).astype(np.float64)
@@ -73,7 +90,11 @@ def match_landmarks(owner: MapKeyframe, other: MapKeyframe, config: DescriptorMa
     is_match &= of_corner[nearest] == np.arange(len(rows))
     rows, landmark, nearest = rows[is_match], landmark[is_match], nearest[is_match]
     return Correspondences(
-        owner.landmarks_imu[landmark], owner.features.camera[rows], corners.xy[nearest], corners.camera[nearest]
+        owner.landmark_ids[landmark],
+        owner.landmarks_imu[landmark],
+        owner.features.camera[rows],
+        corners.xy[nearest],
+        corners.camera[nearest],
     )
 
 

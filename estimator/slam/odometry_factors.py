@@ -25,6 +25,7 @@ import numpy.typing as npt
 import scipy.linalg
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
+from dronevio.estimator.backend.observations import NO_OBSERVATIONS, ObservationTable
 from dronevio.models.rotation import adjoint, inverse_pose
 
 Array = npt.NDArray[np.float64]
@@ -48,9 +49,19 @@ class RelativePose:
     """(4, 4) Pose of the second keyframe's IMU in the frame of the first one's."""
     covariance: Array
     """(6, 6) Covariance of that pose: δθ, then δp, both in the IMU frame of the second keyframe."""
+    observations: ObservationTable = NO_OBSERVATIONS
+    """Observations of landmarks of each keyframe by the other one, of which the pose is the result, with standard
+    deviations in pixels; none for an odometry."""
 
     @classmethod
-    def measured(cls, first: int, second: int, T_first_second: Array, covariance: Array) -> Self:
+    def measured(
+        cls,
+        first: int,
+        second: int,
+        T_first_second: Array,
+        covariance: Array,
+        observations: ObservationTable = NO_OBSERVATIONS,
+    ) -> Self:
         """Return a relative pose whose measured position is uncertain in the frame of the first keyframe.
 
         Args:
@@ -59,10 +70,11 @@ class RelativePose:
             T_first_second: (4, 4) Pose of the second keyframe's IMU in the frame of the first one's.
             covariance: (6, 6) Covariance of δθ (right perturbation, IMU frame of the second keyframe) and δp (IMU frame
                 of the first one).
+            observations: Observations of landmarks of which the pose is the result.
         """
         S = np.eye(6)
         S[3:, 3:] = T_first_second[:3, :3].T
-        return cls(first, second, T_first_second, S @ covariance @ S.T)
+        return cls(first, second, T_first_second, S @ covariance @ S.T, observations)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from dronevio.estimator.slam.odometry_factors import (
     RelativePose,
     tilt_axes,
 )
+from dronevio.models.rotation import inverse_pose
 
 Array = npt.NDArray[np.float64]
 
@@ -117,6 +118,30 @@ def optimize(graph: PoseGraph, *, robust: bool = True) -> OptimizedGraph:
     return OptimizedGraph(replace(graph, poses=poses), rejected)
 
 
+def remeasured(graph: PoseGraph, poses: Mapping[int, Array]) -> PoseGraph:
+    """Return a graph with better poses of some keyframes, which its odometry measures from now on.
+
+    The covariances stay as they are, and so do the loops. Other keyframes are moved with the newest of the better ones.
+
+    Args:
+        graph: The graph.
+        poses: Poses (4, 4) in the map frame by the numbers of the keyframes, one or more of which are in the graph.
+    """
+    newest = max(number for number in poses if number in graph.poses)
+    moved = poses[newest] @ inverse_pose(graph.poses[newest])
+    after = {number: poses[number] if number in poses else moved @ T for number, T in graph.poses.items()}
+    return replace(
+        graph,
+        poses=after,
+        odometry=tuple(
+            replace(each, T_first_second=inverse_pose(after[each.first]) @ after[each.second])
+            for each in graph.odometry
+        ),
+        gravity=tuple(replace(each, up_imu=after[each.keyframe][2, :3]) for each in graph.gravity),
+        positions=tuple(replace(each, p_map=after[each.keyframe][:3, 3]) for each in graph.positions),
+    )
+
+
 def joined_graphs(graph: PoseGraph, other: PoseGraph, T_graph_other: Array) -> PoseGraph:
     """Return two graphs as one, in the map frame of the first; the loops of the second come last.
 
@@ -150,8 +175,11 @@ def tilt_variance(up_imu: Array, covariance: Array) -> float:
 
 
 def factor_graph(graph: PoseGraph) -> gtsam.NonlinearFactorGraph:
-    """Return the factors of a graph, with the symbols X(number); the loops come last."""
-    factors = gtsam.NonlinearFactorGraph()
+    """Return the factors of a graph, with the symbols X(number); the loops come last.
+
+    Factors of fixed keyframes alone are left out, since they are constant.
+    """
+    factors, is_fixed = gtsam.NonlinearFactorGraph(), frozenset(graph.fixed)
     prior = gtsam.noiseModel.Gaussian.Covariance(graph.first_covariance)
     factors.add(gtsam.PriorFactorPose3(X(graph.first), gtsam.Pose3(graph.poses[graph.first]), prior))
     free = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([FREE_ROTATION_SIGMA_RAD, FREE_POSITION_SIGMA_M], 3))
@@ -162,27 +190,38 @@ def factor_graph(graph: PoseGraph) -> gtsam.NonlinearFactorGraph:
         factors.add(gtsam.PriorFactorPose3(X(number), gtsam.Pose3(graph.poses[number]), fixed))
     up = gtsam.Unit3(np.array([0.0, 0.0, 1.0]))
     for direction in graph.gravity:
-        tilt_noise = gtsam.noiseModel.Isotropic.Sigma(2, direction.sigma_rad)
-        factors.add(gtsam.AttitudeFactorPose3(X(direction.keyframe), up, tilt_noise, gtsam.Unit3(direction.up_imu)))
+        if direction.keyframe not in is_fixed:
+            tilt_noise = gtsam.noiseModel.Isotropic.Sigma(2, direction.sigma_rad)
+            factors.add(gtsam.AttitudeFactorPose3(X(direction.keyframe), up, tilt_noise, gtsam.Unit3(direction.up_imu)))
     for position in graph.positions:
-        position_noise = gtsam.noiseModel.Gaussian.Covariance(position.covariance)
-        factors.add(gtsam.PoseTranslationPrior3D(X(position.keyframe), position.p_map, position_noise))
+        if position.keyframe not in is_fixed:
+            noise = gtsam.noiseModel.Gaussian.Covariance(position.covariance)
+            factors.add(gtsam.PoseTranslationPrior3D(X(position.keyframe), position.p_map, noise))
     for relative in (*graph.odometry, *graph.loops):
-        noise = gtsam.noiseModel.Gaussian.Covariance(relative.covariance)
-        T = gtsam.Pose3(relative.T_first_second)
-        factors.add(gtsam.BetweenFactorPose3(X(relative.first), X(relative.second), T, noise))
+        if not {relative.first, relative.second} <= is_fixed:
+            noise = gtsam.noiseModel.Gaussian.Covariance(relative.covariance)
+            T = gtsam.Pose3(relative.T_first_second)
+            factors.add(gtsam.BetweenFactorPose3(X(relative.first), X(relative.second), T, noise))
     return factors
 
 
 def _rejected_loops(graph: PoseGraph, values: gtsam.Values) -> frozenset[int]:
-    """Return the indices of the loops that graduated non-convexity rejects."""
+    """Return the indices of the loops that graduated non-convexity rejects.
+
+    Loops between fixed keyframes are accepted.
+    """
+    is_fixed = frozenset(graph.fixed)
+    free = [i for i, loop in enumerate(graph.loops) if not {loop.first, loop.second} <= is_fixed]
+    if not free:
+        return frozenset()
     added = np.diag(np.repeat([JUDGED_ROTATION_SIGMA_RAD**2, JUDGED_POSITION_SIGMA_M**2], 3))
-    judged = replace(graph, loops=tuple(replace(loop, covariance=loop.covariance + added) for loop in graph.loops))
+    loops = (graph.loops[i] for i in free)
+    judged = replace(graph, loops=tuple(replace(loop, covariance=loop.covariance + added) for loop in loops))
     factors = factor_graph(judged)
     params = gtsam.GncLMParams(gtsam.LevenbergMarquardtParams())
     params.setLossType(gtsam.GncLossType.TLS)
-    params.setKnownInliers(list(range(factors.size() - len(graph.loops))))
+    params.setKnownInliers(list(range(factors.size() - len(free))))
     optimizer = gtsam.GncLMOptimizer(factors, values, params)
     optimizer.setInlierCostThresholdsAtProbability(INLIER_PROBABILITY)
     optimizer.optimize()
-    return frozenset(np.flatnonzero(optimizer.getWeights()[-len(graph.loops) :] < 0.5).tolist())
+    return frozenset(free[i] for i in np.flatnonzero(optimizer.getWeights()[-len(free) :] < 0.5).tolist())

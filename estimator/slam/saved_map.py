@@ -199,8 +199,10 @@ class SavedMap:
 
     def _patches(self, rows: slice) -> LandmarkPatches:
         """Return some of the patches."""
+        points = self.patch_points_imu[rows].astype(np.float64)
         return LandmarkPatches(
-            self.patch_points_imu[rows].astype(np.float64),
+            np.full(len(points), -1),
+            points,
             self.patch_pixels[rows].astype(np.float64),
             self.patch_camera[rows].astype(np.int64),
             self.tiles[rows],
@@ -274,7 +276,7 @@ def _no_patches(patches: Mapping[int, LandmarkPatches]) -> LandmarkPatches:
     """Return no patches, of the same size as others."""
     side = next(iter(patches.values())).tiles.shape[1] if patches else 0
     none = np.zeros((0, side, side), np.uint8)
-    return LandmarkPatches(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0, np.int64), none)
+    return LandmarkPatches(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0, np.int64), none)
 
 
 def _rows(values: npt.ArrayLike) -> Rows:

@@ -1,5 +1,6 @@
-"""When the answers of the map take effect: after a number of frames that does not depend on the machine's speed."""
+"""When the answers of the map take effect: after numbers of frames that do not depend on the machine's speed."""
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Annotated
@@ -56,3 +57,62 @@ class CorrectionSchedule:
             self._due.popleft()
             count += 1
         return count
+
+
+@dataclass(frozen=True)
+class AdjustmentScheduleConfig(Settings):
+    """When the map is adjusted during the flight, and when the result takes effect.
+
+    Both depend on numbers of keyframes and loops alone, so that results do not depend on the machine.
+    """
+
+    enabled: bool = True
+    """Adjust the map during the flight, too, and not only after it."""
+    min_loops: Annotated[int, Range(1, 1_000_000)] = 10
+    """Number of closed loops at which the map is adjusted for the first time."""
+    growth: Annotated[float, Range(1.01, 100.0)] = 1.3
+    """Ratio of the number of keyframes to that at the last adjustment at which the map is adjusted again."""
+    landmark_step: Annotated[int, Range(1, 1000)] = 3
+    """Every how many-th landmark is used, for the sake of the processor time."""
+    keyframes: Annotated[int, Range(1, 100_000)] = 10
+    """Number of keyframes after which the adjustment of a small map takes effect."""
+    keyframes_per_keyframe: Annotated[int, Range(1, 1000)] = 20
+    """Number of keyframes of the map by which that number grows by one, since the adjustment takes longer."""
+
+
+class AdjustmentSchedule:
+    """When adjustments of the map begin and are due, by the numbers of its keyframes and loops."""
+
+    def __init__(self, config: AdjustmentScheduleConfig) -> None:
+        """Begin before the first adjustment.
+
+        Args:
+            config: Settings.
+        """
+        self._config = config
+        self._least = 0
+        self._due: int | None = None
+
+    def takes_effect(self, keyframes: int) -> bool:
+        """Return whether an adjustment is due, and forget it.
+
+        Args:
+            keyframes: Number of keyframes of the flight.
+        """
+        is_due = self._due is not None and keyframes >= self._due
+        self._due = None if is_due else self._due
+        return is_due
+
+    def begins(self, keyframes: int, loops: int) -> bool:
+        """Return whether an adjustment begins with a keyframe.
+
+        Args:
+            keyframes: Number of keyframes of the flight.
+            loops: Number of closed loops.
+        """
+        c = self._config
+        if not c.enabled or self._due is not None or loops < c.min_loops or keyframes < self._least:
+            return False
+        self._least = math.ceil(c.growth * keyframes)
+        self._due = keyframes + c.keyframes + keyframes // c.keyframes_per_keyframe
+        return True

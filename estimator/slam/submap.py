@@ -26,6 +26,7 @@ from dronevio.estimator.slam.pose_graph import (
     PoseGraph,
     joined_graphs,
     optimize,
+    remeasured,
 )
 from dronevio.models.rotation import inverse_pose
 
@@ -52,6 +53,8 @@ class Submap:
     """Number of loops, the last ones of the graph, that wait for an optimization."""
     optimized_ns: int | None = None
     """Time of the newest keyframe at the last optimization [ns]; None before the first one."""
+    is_adjusted: bool = False
+    """Whether bundle adjustment has changed the scale, so that the map frame is no odometry frame any more."""
 
     @classmethod
     def begin(cls, number: int, estimate: KeyframeEstimate, track: int) -> "Submap":
@@ -92,7 +95,7 @@ class Submap:
             number: Number of the new keyframe.
             estimate: The final estimate of the new keyframe.
         """
-        node, factors = odometry_factors(anchor, number, estimate, is_map_frame=anchor.first == self.graph.first)
+        node, factors = odometry_factors(anchor, number, estimate, is_map_frame=self._is_odometry_frame(anchor))
         T = self.graph.poses[anchor.number] @ factors.relative.T_first_second
         graph, history = (each.with_keyframe(T, factors) for each in (self.graph, self.history))
         covariance = propagated(self.covariances[anchor.number], factors.relative, factors.gravity)
@@ -120,7 +123,21 @@ class Submap:
         before = frozenset(self.closed_loops)
         new = [loop for loop in solution.without_rejected.loops if loop not in before]
         covariances = covariances_with_loops(solution.graph, self.covariances, new)
-        return Submap(solution, self.tracks, covariances, self.history, 0, t_ns)
+        return replace(self, solution=solution, covariances=covariances, waiting=0, optimized_ns=t_ns)
+
+    def adjusted(self, poses: Mapping[int, Array], t_ns: int) -> "Submap":
+        """Return the submap with keyframes where bundle adjustment has put them, optimized.
+
+        The odometry between them is that of the adjusted poses from now on, whose scale is better.
+
+        Args:
+            poses: Adjusted poses (4, 4) of keyframes of this submap, which may be culled.
+            t_ns: Time of the newest keyframe [ns].
+        """
+        whole = remeasured(self.whole_graph, poses)
+        graph = remeasured(self.graph, whole.poses)
+        solution = replace(self.solution, graph=graph)
+        return replace(self, solution=solution, history=whole, is_adjusted=True).optimized(t_ns)
 
     def joined(
         self, other: "Submap", loops: Sequence[RelativePose], t_ns: int, *, other_stays: bool
@@ -145,7 +162,8 @@ class Submap:
         unconnected = {**one.covariances, **dict.fromkeys(two.covariances, UNKNOWN)}
         covariances = covariances_with_loops(solution.graph, unconnected, solution.without_rejected.loops)
         history = joined_graphs(one.whole_graph, two.whole_graph, T_one_two).with_loops(loops)
-        return Submap(solution, self.tracks | other.tracks, covariances, history, 0, t_ns)
+        is_adjusted = self.is_adjusted or other.is_adjusted
+        return Submap(solution, self.tracks | other.tracks, covariances, history, 0, t_ns, is_adjusted)
 
     def without(self, number: int, previous: OdometryNode, following: KeyframeEstimate) -> "Submap":
         """Return the submap without a keyframe, which stays in the history.
@@ -162,9 +180,11 @@ class Submap:
         graph, waiting = self.graph, self.graph.loops[self.judged :]
         before = next(relative for relative in graph.odometry if relative.second == number)
         after = next(relative for relative in graph.odometry if relative.first == number)
-        is_map_frame = previous.first == graph.first
+        is_map_frame = self._is_odometry_frame(previous)
         _, merged = odometry_factors(previous, after.second, following, is_map_frame=is_map_frame)
-        odometry = tuple(merged.relative if each is after else each for each in graph.odometry if each is not before)
+        T = before.T_first_second @ after.T_first_second  # also where bundle adjustment has changed them
+        relative = replace(merged.relative, T_first_second=T)
+        odometry = tuple(relative if each is after else each for each in graph.odometry if each is not before)
         gravity = [each for each in graph.gravity if each.keyframe not in (number, after.second)]
         gravity += [] if merged.gravity is None else [merged.gravity]
         positions = [each for each in graph.positions if each.keyframe not in (number, after.second)]
@@ -179,10 +199,19 @@ class Submap:
         accepted = {*closed, *passed}
         poses = {k: T for k, T in graph.poses.items() if k != number}
         culled = replace(
-            graph, poses=poses, odometry=odometry, gravity=tuple(gravity), positions=tuple(positions), loops=loops
+            graph,
+            poses=poses,
+            odometry=odometry,
+            gravity=tuple(gravity),
+            positions=tuple(positions),
+            loops=loops,
         )
         rejected = frozenset(i for i, loop in enumerate(loops) if loop not in accepted)
         history = replace(self.history, poses={**self.history.poses, number: graph.poses[number]})
         solution = OptimizedGraph(culled, rejected)
         covariances = {k: P for k, P in self.covariances.items() if k != number}
         return replace(self, solution=solution, covariances=covariances, history=history, waiting=len(kept_waiting))
+
+    def _is_odometry_frame(self, node: OdometryNode) -> bool:
+        """Return whether the map frame is the odometry frame of a keyframe."""
+        return node.first == self.graph.first and not self.is_adjusted

@@ -16,6 +16,7 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.backend.observations import NO_OBSERVATIONS, ObservationTable
 from dronevio.estimator.slam.gravity_pose import (
     LevelMatches,
     LevelPoses,
@@ -93,6 +94,8 @@ class PlaceMatch:
     """Number of landmarks of the old keyframe that agree with the new images."""
     new_landmarks: int
     """Number of landmarks of the new keyframe that agree with the old images."""
+    observations: ObservationTable = NO_OBSERVATIONS
+    """Their observations, with standard deviations in pixels."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +148,9 @@ def verify(query: MapKeyframe, match: MapKeyframe, rig: Rig, config: Verificatio
         return Rejection("covariance")
     if not _directions_agree(pose, old[is_old], new[is_new], views, tolerance_m, tolerance_rad, c):
         return Rejection("directions")
-    return PlaceMatch(query.number, match.number, pose.T_match_query, pose.covariance, *inliers)
+    sigma_px = c.pose.pixel_sigma
+    observations = old[is_old].observed_by(query.number, sigma_px) + new[is_new].observed_by(match.number, sigma_px)
+    return PlaceMatch(query.number, match.number, pose.T_match_query, pose.covariance, *inliers, observations)
 
 
 def _are_enough(old: int, new: int, config: VerificationConfig) -> bool:

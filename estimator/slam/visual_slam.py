@@ -8,25 +8,21 @@ frame is causal, and it jumps when a loop is closed; the pose in the odometry fr
 no pose in the map frame until a place of the map is recognized.
 """
 
-from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
-from functools import reduce
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
-from dronevio.estimator.backend.observations import observation_table
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.preintegration import PreintegrationParams
 from dronevio.estimator.keyframe_observer import OdometryKeyframe
-from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs, AdjustmentKeyframe, adjust
+from dronevio.estimator.slam.adjuster import solved
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
+from dronevio.estimator.slam.flight_measurements import FlightMeasurements, KeyframeMeasurements
 from dronevio.estimator.slam.g2o import write_g2o
-from dronevio.estimator.slam.keyframe import MapKeyframe
 from dronevio.estimator.slam.map_builder import (
     ImagedKeyframe,
     LocalMap,
@@ -40,13 +36,13 @@ from dronevio.estimator.slam.map_builder import (
 from dronevio.estimator.slam.map_file import read_map, write_map
 from dronevio.estimator.slam.map_process import MapProcess
 from dronevio.estimator.slam.mapping import Mapper, MapSummary
-from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph
+from dronevio.estimator.slam.pose_graph import OptimizedGraph
 from dronevio.estimator.slam.saved_arrays import MIN_KEYFRAMES
 from dronevio.estimator.slam.saved_map import SavedMap, saved_map
 from dronevio.estimator.slam.schedule import CorrectionSchedule
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.errors import ConfigError
-from dronevio.models.imu import ImuModel, ImuSamples
+from dronevio.models.imu import ImuSamples
 from dronevio.models.map_correction import MapCorrection
 from dronevio.models.recordings.files import as_input_error
 from dronevio.models.rig import Rig
@@ -96,8 +92,8 @@ class VisualSlam:
         """
         self._config = c = config or SlamConfig()
         self._rig = rig
-        self._imu: list[ImuSamples] = []
         self._keyframes = _KeyframeMessages()
+        self._measurements = FlightMeasurements(rig.imu)
         self._odometry = VisualInertialOdometry(rig, odometry, observer=self._keyframes)
         self._known, self._localize_only = _checked_map(rig, map, localize_only), localize_only
         known = None if self._known is None else self._known.known(is_fixed=localize_only)
@@ -113,7 +109,7 @@ class VisualSlam:
     def add_imu(self, samples: ImuSamples) -> None:
         """Add the IMU samples since the last call; see `VisualInertialOdometry`."""
         self._odometry.add_imu(samples)
-        self._imu.append(samples)
+        self._keyframes.add_imu(samples)
 
     def state_at(self, t_ns: int) -> NavState | None:
         """Return the newest state in the odometry frame, propagated by the IMU; see `Estimator`."""
@@ -126,12 +122,15 @@ class VisualSlam:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
             DefectError: The worker process died, or failed in a way that no input should cause.
         """
-        self._keyframes.begin_frame(frame, has_map_pose=self._T_map_odom is not None)
+        has_map_pose, noise = self._T_map_odom is not None, self._odometry.imu_noise
+        self._keyframes.begin_frame(frame, noise, has_map_pose=has_map_pose)
         estimate = self._odometry.add_frame(frame)
         self._frames += 1
         for message in self._keyframes.take():
             if isinstance(message, TrackLost):
                 self._track, self._T_map_odom, self._correction = self._track + 1, None, None
+            if isinstance(message, MarginalizedKeyframe) and message.measured is not None:
+                self._measurements.add(message.estimate.t_ns, message.measured)
             self._map.send(message)
             self._sent += 1
             self._schedule.add(self._frames, self._sent, self._loops)
@@ -191,7 +190,15 @@ class VisualSlam:
         the final poses.
         """
         mapper, solution = self._final_solution()
-        return None if solution is None else mapper.map_of(solution)
+        if solution is None:
+            return None
+        found = mapper.map_of(solution)
+        # The correction is that of the causal path, which is then at the final poses where the keyframes are.
+        return (
+            replace(found, Ts_odom_imu=self._measurements.causal_poses(mapper.keyframes))
+            if len(found.closed)
+            else found
+        )
 
     def save_map(self, path: Path | str) -> None:
         """Save the final map, together with the map that was loaded, for later flights.
@@ -243,14 +250,12 @@ class VisualSlam:
     def _adjusted(self, mapper: Mapper, solution: OptimizedGraph) -> OptimizedGraph:
         """Return the pose graph with the poses by bundle adjustment, if it has loops."""
         graph = solution.without_rejected
-        if not graph.loops:
+        if not graph.loops or not self._measurements.covers(mapper.keyframes):
             return solution
-        imu, noise = reduce(ImuSamples.extended, self._imu), self._odometry.imu_noise
-        inputs = self._keyframes.adjustment_inputs(mapper.keyframes, graph, imu, self._rig.imu, noise)
-        with suppress(RuntimeError):  # by GTSAM, if the system is singular; the poses of the graph remain
-            poses = adjust(inputs, self._config.adjustment)
-            return replace(solution, graph=replace(solution.graph, poses=poses))
-        return solution
+        poses = solved(self._measurements.inputs(mapper.keyframes, graph), self._config.adjustment)
+        if poses is None:  # those of the pose graph remain
+            return solution
+        return replace(solution, graph=replace(solution.graph, poses=poses))
 
     def close(self) -> None:
         """End the worker process, which otherwise ends with the last reference to this object."""
@@ -263,19 +268,25 @@ class _KeyframeMessages:
     def __init__(self) -> None:
         """Begin without keyframes."""
         self._frame: CameraFrame | None = None
+        self._imu: list[ImuSamples] = []  # since those of the last keyframe that was marginalized
+        self._imu_noise: PreintegrationParams | None = None
         self._has_map_pose = True
         self._waiting: dict[int, tuple[OdometryKeyframe, ImagedKeyframe]] = {}
-        self._members: dict[int, OdometryKeyframe] = {}  # keyframes that have been marginalized
         self._messages: list[MapMessage] = []
 
-    def begin_frame(self, frame: CameraFrame, *, has_map_pose: bool) -> None:
+    def add_imu(self, samples: ImuSamples) -> None:
+        """Keep IMU samples for the next keyframe that leaves the window."""
+        self._imu.append(samples)
+
+    def begin_frame(self, frame: CameraFrame, imu_noise: PreintegrationParams, *, has_map_pose: bool) -> None:
         """Keep the images of the newest frame, which may become a keyframe.
 
         Args:
             frame: The frame.
+            imu_noise: The noise of the IMU as it is known.
             has_map_pose: Whether the pose of the odometry frame in the map frame is known.
         """
-        self._frame, self._has_map_pose = frame, has_map_pose
+        self._frame, self._imu_noise, self._has_map_pose = frame, imu_noise, has_map_pose
 
     def take(self) -> list[MapMessage]:
         """Return the messages since the last call."""
@@ -301,46 +312,14 @@ class _KeyframeMessages:
     def marginalized(self, estimate: KeyframeEstimate) -> None:
         """Let a keyframe of the odometry join the map, if its images are known."""
         waiting = self._waiting.pop(estimate.t_ns, None)
-        if waiting is not None:
-            self._members[estimate.t_ns] = waiting[0]
-            self._messages.append(MarginalizedKeyframe(waiting[1], estimate))
-
-    def adjustment_inputs(
-        self,
-        keyframes_of_map: Sequence[MapKeyframe],
-        graph: PoseGraph,
-        imu: ImuSamples,
-        imu_model: ImuModel,
-        noise: PreintegrationParams,
-    ) -> AdjustmentInputs:
-        """Return the measurements of all keyframes of the map.
-
-        Args:
-            keyframes_of_map: The keyframes of the map.
-            graph: The optimized pose graph, without rejected loops.
-            imu: The IMU samples of the flight.
-            imu_model: The sensor model.
-            noise: The noise of the preintegration.
-        """
-        keyframes = []
-        for member in keyframes_of_map:
-            known, T_map_imu = self._members[member.t_ns], graph.poses[member.number]
-            R_map_odom = T_map_imu[:3, :3] @ member.T_odom_imu[:3, :3].T
-            keyframes.append(
-                AdjustmentKeyframe(
-                    member.number,
-                    member.t_ns,
-                    T_map_imu,
-                    R_map_odom @ known.state.velocity_m_s,
-                    known.state.gyro_bias_rad_s,
-                    known.state.accel_bias_m_s2,
-                    observation_table(member.number, known.observations),
-                    member.track,
-                )
-            )
-        calibration = self._members[keyframes_of_map[-1].t_ns].calibration
-        first, covariance = graph.first, graph.first_covariance
-        return AdjustmentInputs(keyframes, graph.loops, imu, imu_model, noise, calibration, first, covariance)
+        if waiting is None:
+            return
+        known, imaged = waiting
+        measured = None
+        if self._imu and self._imu_noise is not None:
+            imu, self._imu = ImuSamples.concatenated(self._imu), []
+            measured = KeyframeMeasurements(known.state, known.observations, known.calibration, imu, self._imu_noise)
+        self._messages.append(MarginalizedKeyframe(imaged, estimate, measured))
 
     def lost(self) -> None:
         """Begin another track: later keyframes are in another odometry frame."""

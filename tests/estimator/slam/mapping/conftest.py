@@ -12,11 +12,14 @@ import pytest
 from gtsam.symbol_shorthand import X
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
+from dronevio.estimator.backend.observations import observation_table
+from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.keyframe_observer import OdometryKeyframe
+from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs, AdjustmentKeyframe
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
 from dronevio.estimator.slam.mapping import KeyframeView, Mapper, Recognizer
-from dronevio.estimator.slam.pose_graph import PoseGraph, factor_graph
+from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph, factor_graph
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 from dronevio.models.state import Estimate
@@ -175,3 +178,39 @@ def odometry_flight(make_flight: "Callable[..., SyntheticFlight]") -> OdometryFl
     """Return a flight of 25 s with the keyframes of its odometry."""
     flight, observer = make_flight(4, duration_s=25.0), RecordingObserver()
     return OdometryFlight(flight, flight.run(observer=observer), observer.estimates, observer.keyframes)
+
+
+@pytest.fixture(scope="session")
+def graph_solution(odometry_flight: "OdometryFlight") -> OptimizedGraph:
+    """Return the optimized pose graph of a flight with loops."""
+    _, mapped = odometry_flight.with_loops(every=5)
+    found = mapped.mapper.final_solution()
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="session")
+def adjustment_inputs(odometry_flight: "OdometryFlight", graph_solution: OptimizedGraph) -> AdjustmentInputs:
+    """Return the measurements of the map, with the poses of the graph as initial ones."""
+    of_time = {keyframe.t_ns: keyframe for keyframe in odometry_flight.keyframes}
+    keyframes, flight = [], odometry_flight.flight
+    for number, estimate in enumerate(odometry_flight.marginalized):
+        if estimate.t_ns not in of_time:  # a keyframe of the initialization
+            continue
+        known = of_time[estimate.t_ns]
+        keyframes.append(
+            AdjustmentKeyframe(
+                number,
+                estimate.t_ns,
+                graph_solution.graph.poses[number],
+                known.state.velocity_m_s,
+                known.state.gyro_bias_rad_s,
+                known.state.accel_bias_m_s2,
+                observation_table(number, known.observations),
+            )
+        )
+    params = PreintegrationParams.of(flight.rig.imu, PreintegrationConfig())
+    first = keyframes[0].number
+    loops = [loop for loop in graph_solution.without_rejected.loops if loop.first >= first]
+    covariance, calibration = odometry_flight.marginalized[first].covariance, odometry_flight.keyframes[-1].calibration
+    return AdjustmentInputs(keyframes, loops, flight.imu, flight.rig.imu, params, calibration, first, covariance)

@@ -235,3 +235,90 @@ def test_too_small_a_map_is_given_up(tracks: Tracks) -> None:
     correction = added(mapper, tracks[1][:2])[-1]
     assert correction.T_map_odom is not None and len(mapper.keyframes) == 2
     np.testing.assert_allclose(correction.T_map_odom, np.eye(4), atol=1e-9)
+
+
+ADJUSTED = 40
+"""Number of keyframes that are adjusted."""
+
+
+def adjusted_twice_as_large(odometry_flight: "OdometryFlight") -> tuple[Submap, Submap]:
+    """Return a submap, and the same with the first keyframes adjusted to twice the size."""
+    estimates = odometry_flight.marginalized[:SPLIT]
+    node, submap = first_node(0, estimates[0]), Submap.begin(0, estimates[0], 0)
+    for number in range(1, SPLIT):
+        node, submap = submap.extended(node, number, estimates[number])
+    poses = {}
+    for number in range(ADJUSTED):
+        poses[number] = submap.graph.poses[number].copy()
+        poses[number][:3, 3] *= 2.0
+    return submap, submap.adjusted(poses, estimates[-1].t_ns)
+
+
+def test_adjusted_poses_are_the_optimum_of_the_graph(odometry_flight: "OdometryFlight") -> None:
+    before, after = adjusted_twice_as_large(odometry_flight)
+    for graph in (after.graph, after.optimized(0).graph, after.whole_graph):
+        for number in range(ADJUSTED):
+            expected = 2.0 * before.graph.poses[number][:3, 3]
+            np.testing.assert_allclose(graph.poses[number][:3, 3], expected, atol=1e-5)
+        # The others keep their poses in the frame of the newest adjusted one.
+        for number in range(ADJUSTED, SPLIT):
+            expected = inverse_pose(before.graph.poses[ADJUSTED - 1]) @ before.graph.poses[number]
+            found = inverse_pose(graph.poses[ADJUSTED - 1]) @ graph.poses[number]
+            np.testing.assert_allclose(found, expected, atol=1e-5)
+    assert after.is_adjusted and not before.is_adjusted
+
+
+def test_loops_still_bend_an_adjusted_map(odometry_flight: "OdometryFlight") -> None:
+    _, after = adjusted_twice_as_large(odometry_flight)
+    T = after.graph.poses
+    T_loop = inverse_pose(T[3]) @ T[30] @ pose_matrix(np.eye(3), np.array([0.02, 0.0, 0.0]))
+    loop = RelativePose(3, 30, T_loop, 1e-10 * np.eye(6))
+    bent = after.with_loops([loop]).optimized(0)
+    assert bent.closed_loops == (loop,)
+    np.testing.assert_allclose(inverse_pose(bent.graph.poses[3]) @ bent.graph.poses[30], T_loop, atol=1e-3)
+
+
+def test_a_culled_keyframe_leaves_the_adjusted_odometry(odometry_flight: "OdometryFlight") -> None:
+    _, after = adjusted_twice_as_large(odometry_flight)
+    estimates = odometry_flight.marginalized
+    culled = after.without(20, first_node(19, estimates[19]), estimates[21])
+    step = next(each for each in culled.graph.odometry if each.second == 21)
+    assert step.first == 19
+    expected = inverse_pose(after.graph.poses[19]) @ after.graph.poses[21]
+    np.testing.assert_allclose(step.T_first_second, expected, atol=1e-9)
+    np.testing.assert_array_equal(culled.whole_graph.poses[20], after.graph.poses[20])
+
+
+def test_culled_keyframes_are_adjusted_too(odometry_flight: "OdometryFlight") -> None:
+    before, _ = adjusted_twice_as_large(odometry_flight)
+    estimates = odometry_flight.marginalized
+    culled = before.without(20, first_node(19, estimates[19]), estimates[21])
+    poses = {number: 1.0 * T for number, T in before.graph.poses.items() if number < ADJUSTED}
+    for T in poses.values():
+        T[:3, 3] *= 2.0
+    after = culled.adjusted(poses, 0)
+    np.testing.assert_array_equal(after.whole_graph.poses[20], poses[20])
+    np.testing.assert_allclose(after.graph.poses[21], poses[21], atol=1e-5)
+
+
+def test_loops_with_fixed_keyframes_are_judged() -> None:
+    """Factors between fixed keyframes contradict their poses here, and must not hide that the loops agree."""
+    poses = {k: pose_matrix(rotation_z(0.05 * k), np.array([0.3 * k, np.sin(0.1 * k), 0.0])) for k in range(80)}
+    between = {k: inverse_pose(poses[k]) @ poses[k + 1] for k in range(79)}
+    wrong = pose_matrix(np.eye(3), np.array([0.5, 0.0, 0.0]))
+    odometry = tuple(RelativePose(k, k + 1, wrong @ T if k < 39 else T, 1e-6 * np.eye(6)) for k, T in between.items())
+    loops = [RelativePose(k, k + 40, inverse_pose(poses[k]) @ poses[k + 40], 1e-6 * np.eye(6)) for k in range(0, 40, 3)]
+    loops[2] = replace(loops[2], T_first_second=loops[2].T_first_second @ wrong)
+    fixed = RelativePose(3, 30, np.eye(4), 1e-6 * np.eye(6))  # not judged: both of its keyframes stay
+    graph = PoseGraph(0, 1e-8 * np.eye(6), poses, odometry, loops=(*loops, fixed), fixed=tuple(range(40)))
+    assert optimize(graph).rejected == {2}
+
+
+def test_an_adjusted_map_has_no_new_priors_on_positions(odometry_flight: "OdometryFlight") -> None:
+    """The odometry frame is not the map frame any more, since their scales differ."""
+    _, after = adjusted_twice_as_large(odometry_flight)
+    later, S = odometry_flight.marginalized[SPLIT], np.diag([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
+    known = replace(later, covariance=S @ later.covariance @ S)
+    node = first_node(SPLIT - 1, odometry_flight.marginalized[SPLIT - 1])
+    node = replace(node, first=0)
+    assert after.extended(node, SPLIT, known)[1].graph.positions == ()

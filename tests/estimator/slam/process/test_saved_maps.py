@@ -10,6 +10,8 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.slam import visual_slam
+from dronevio.estimator.slam.adjuster import LocalAdjuster
+from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.map_builder import MapBuilder, MarginalizedKeyframe
 from dronevio.estimator.slam.map_file import read_map
@@ -32,7 +34,7 @@ Array = npt.NDArray[np.float64]
 def lap_map() -> SavedMap:
     """Return the map of one lap through the places."""
     rig = one_camera()
-    builder = MapBuilder(rig, SlamConfig())
+    builder = MapBuilder(rig, SlamConfig(), None, LocalAdjuster(AdjustmentConfig()))
     for place in range(PLACES):
         builder.process(keyframe(rig, place, 0))
     solution = builder.mapper.final_solution()
@@ -147,7 +149,7 @@ def test_known_keyframes_are_before_all_flights() -> None:
 def test_a_map_keeps_what_is_compared(tmp_path: Path) -> None:
     """The keyframes of a loaded map equal those that were saved, to the precision of their types."""
     rig = one_camera()
-    builder = MapBuilder(rig, SlamConfig())
+    builder = MapBuilder(rig, SlamConfig(), None, LocalAdjuster(AdjustmentConfig()))
     for place in range(PLACES):
         builder.process(keyframe(rig, place, 0))
     known = lap_map().known()

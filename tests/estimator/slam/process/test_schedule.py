@@ -1,6 +1,11 @@
-"""The schedule of corrections: frames at which answers are due, by counts alone."""
+"""The schedules of corrections and adjustments: when they are due, by counts alone."""
 
-from dronevio.estimator.slam.schedule import CorrectionSchedule, DelayConfig
+from dronevio.estimator.slam.schedule import (
+    AdjustmentSchedule,
+    AdjustmentScheduleConfig,
+    CorrectionSchedule,
+    DelayConfig,
+)
 
 
 def due_frames(schedule: CorrectionSchedule, frames: int = 200) -> list[int]:
@@ -36,3 +41,20 @@ def test_answers_that_are_overdue_are_taken_together() -> None:
     schedule.add(1, keyframes=1, loops=0)
     schedule.add(2, keyframes=2, loops=0)
     assert [schedule.take_due(frame) for frame in (1, 5, 6)] == [0, 2, 0]
+
+
+def test_adjustments_begin_with_loops_and_with_growth() -> None:
+    config = AdjustmentScheduleConfig(min_loops=10, growth=1.5, keyframes=20, keyframes_per_keyframe=10)
+    schedule = AdjustmentSchedule(config)
+    assert not schedule.begins(100, loops=9)
+    assert schedule.begins(100, loops=10)
+    assert not schedule.begins(129, loops=500)  # one at a time
+    assert [k for k in range(100, 140) if schedule.takes_effect(k)] == [130]  # 20 + 100 / 10 later
+    assert not schedule.begins(149, loops=500)
+    assert schedule.begins(150, loops=500)
+    assert [k for k in range(150, 200) if schedule.takes_effect(k)] == [185]
+
+
+def test_adjustments_can_be_disabled() -> None:
+    schedule = AdjustmentSchedule(AdjustmentScheduleConfig(enabled=False))
+    assert not schedule.begins(1000, loops=1000) and not schedule.takes_effect(10_000)

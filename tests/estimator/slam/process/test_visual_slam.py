@@ -8,6 +8,7 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.config import VioConfig
+from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.keyframe_observer import KeyframeObserver, OdometryKeyframe
 from dronevio.estimator.slam import visual_slam
 from dronevio.estimator.slam.config import SlamConfig
@@ -43,6 +44,11 @@ class ScriptedOdometry:
         """Be made like an odometry."""
         self.observer = observer
         return self
+
+    @property
+    def imu_noise(self) -> PreintegrationParams:
+        """The noise of no particular IMU."""
+        return PreintegrationParams.of(one_camera().imu, PreintegrationConfig())
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Do nothing."""

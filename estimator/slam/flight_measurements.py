@@ -1,0 +1,102 @@
+"""What the odometry has measured at the keyframes of a map, for the bundle adjustment of the map."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.backend.observations import observation_table
+from dronevio.estimator.imu.preintegration import PreintegrationParams
+from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs, AdjustmentKeyframe
+from dronevio.estimator.slam.keyframe import MapKeyframe
+from dronevio.estimator.slam.pose_graph import PoseGraph
+from dronevio.estimator.types import Calibration, Observations
+from dronevio.models.imu import ImuModel, ImuSamples
+from dronevio.models.state import NavState
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class KeyframeMeasurements:
+    """What the odometry has measured at a keyframe, and since the one before."""
+
+    state: NavState
+    """The causal estimate in the odometry frame."""
+    observations: Observations
+    """The features of the keyframe in all cameras."""
+    calibration: Calibration
+    """The calibration that was in use."""
+    imu: ImuSamples
+    """The IMU samples since those of the keyframe before, up to the keyframe or later."""
+    imu_noise: PreintegrationParams
+    """The noise of the IMU as it was known."""
+
+
+class FlightMeasurements:
+    """The measurements of the keyframes of a flight."""
+
+    def __init__(self, imu_model: ImuModel) -> None:
+        """Begin without measurements.
+
+        Args:
+            imu_model: The sensor model.
+        """
+        self._imu_model = imu_model
+        self._keyframes: dict[int, KeyframeMeasurements] = {}  # by their times [ns]
+
+    def add(self, t_ns: int, measured: KeyframeMeasurements) -> None:
+        """Add what was measured at a keyframe.
+
+        Args:
+            t_ns: Time of the keyframe by the IMU's clock [ns].
+            measured: The measurements.
+        """
+        self._keyframes[t_ns] = measured
+
+    def covers(self, keyframes: Sequence[MapKeyframe]) -> bool:
+        """Return whether all of some keyframes have measurements, unlike those of a loaded map."""
+        return all(keyframe.t_ns in self._keyframes for keyframe in keyframes)
+
+    def causal_poses(self, keyframes: Sequence[MapKeyframe]) -> Array:
+        """Return the poses (K, 4, 4) of keyframes in the odometry frame as they were estimated at their frames.
+
+        Without measurements, it is the pose when the keyframe left the window.
+        """
+        known = ((keyframe, self._keyframes.get(keyframe.t_ns)) for keyframe in keyframes)
+        return np.stack([keyframe.T_odom_imu if m is None else m.state.T_world_imu for keyframe, m in known])
+
+    def inputs(self, keyframes: Sequence[MapKeyframe], graph: PoseGraph) -> AdjustmentInputs:
+        """Return the measurements of a map for its bundle adjustment.
+
+        Args:
+            keyframes: The keyframes of the map in the order of time, whose measurements have been added.
+            graph: The pose graph with the initial poses, without rejected loops.
+        """
+        newest = self._keyframes[keyframes[-1].t_ns]
+        return AdjustmentInputs(
+            [self._initialized(keyframe, graph) for keyframe in keyframes],
+            graph.loops,
+            ImuSamples.concatenated([measured.imu for measured in self._keyframes.values()]),
+            self._imu_model,
+            newest.imu_noise,
+            newest.calibration,
+            graph.first,
+            graph.first_covariance,
+        )
+
+    def _initialized(self, keyframe: MapKeyframe, graph: PoseGraph) -> AdjustmentKeyframe:
+        """Return a keyframe with its measurements and its initial state in the map frame."""
+        measured, T_map_imu = self._keyframes[keyframe.t_ns], graph.poses[keyframe.number]
+        R_map_odom = T_map_imu[:3, :3] @ keyframe.T_odom_imu[:3, :3].T
+        return AdjustmentKeyframe(
+            keyframe.number,
+            keyframe.t_ns,
+            T_map_imu,
+            R_map_odom @ measured.state.velocity_m_s,
+            measured.state.gyro_bias_rad_s,
+            measured.state.accel_bias_m_s2,
+            observation_table(keyframe.number, measured.observations),
+            keyframe.track,
+        )

@@ -1,0 +1,128 @@
+"""Bundle adjustment during the flight: when it begins, when it takes effect, and what it does to the map."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
+from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs
+from dronevio.estimator.slam.config import SlamConfig
+from dronevio.estimator.slam.correction import Correction
+from dronevio.estimator.slam.flight_measurements import KeyframeMeasurements
+from dronevio.estimator.slam.map_builder import MapBuilder, MarginalizedKeyframe, TrackLost
+from dronevio.estimator.slam.mapping import MappingConfig
+from dronevio.estimator.slam.schedule import AdjustmentScheduleConfig
+from dronevio.estimator.types import Calibration
+from dronevio.models.imu import ImuSamples
+from dronevio.models.state import NavState
+from tests.estimator.slam.process.conftest import DRIFT_M, PLACES, keyframe, one_camera
+
+Array = npt.NDArray[np.float64]
+
+SHIFT = np.array([0.0, 0.0, 0.5])
+"""Where the adjustment of these tests moves all keyframes [m]."""
+DELAY = 3
+"""Number of keyframes after which an adjustment takes effect."""
+CONFIG = SlamConfig(
+    mapping=MappingConfig(optimization_interval_s=0.0),
+    adjustment_schedule=AdjustmentScheduleConfig(min_loops=2, growth=100.0, keyframes=DELAY),
+)
+
+
+@dataclass
+class ShiftingAdjuster:
+    """An adjuster that moves all keyframes by the same distance."""
+
+    cpu_s: float = 0.0
+    started: list[AdjustmentInputs] = field(default_factory=list)
+
+    def start(self, inputs: AdjustmentInputs) -> None:
+        """Keep the measurements."""
+        self.started.append(inputs)
+
+    def result(self) -> dict[int, Array] | None:
+        """Return the keyframes of the last measurements, moved."""
+        T = np.eye(4)
+        T[:3, 3] = SHIFT
+        return {each.number: T @ each.T_map_imu for each in self.started[-1].keyframes}
+
+
+def measured(message: MarginalizedKeyframe) -> MarginalizedKeyframe:
+    """Return a keyframe with measurements, whose velocity is 1 m/s along x of the odometry frame."""
+    t_ns, rig = message.estimate.t_ns, message.keyframe.rig
+    state = NavState(t_ns, message.estimate.T_odom_imu, np.array([1.0, 0.0, 0.0]), np.zeros(3), np.zeros(3))
+    imu = ImuSamples(np.array([t_ns]), np.zeros((1, 3)), np.zeros((1, 3)))
+    noise = PreintegrationParams.of(rig.imu, PreintegrationConfig())
+    observations = message.keyframe.observations
+    return replace(message, measured=KeyframeMeasurements(state, observations, Calibration(rig), imu, noise))
+
+
+def laps(count: int) -> list[MarginalizedKeyframe]:
+    """Return the keyframes of laps through the same places, with measurements."""
+    rig = one_camera()
+    return [measured(keyframe(rig, place, lap)) for lap in range(count) for place in range(PLACES)]
+
+
+def built(messages: list[MarginalizedKeyframe], config: SlamConfig = CONFIG) -> tuple[ShiftingAdjuster, list[Array]]:
+    """Return the adjuster after a flight, and the corrections of the odometry at its keyframes."""
+    adjuster = ShiftingAdjuster()
+    builder = MapBuilder(one_camera(), config, None, adjuster)
+    found = []
+    for message in messages:
+        correction = builder.process(message)
+        assert isinstance(correction, Correction) and correction.T_map_odom is not None
+        found.append(correction.T_map_odom[:3, 3])
+    return adjuster, found
+
+
+def test_adjustment_takes_effect_after_its_delay() -> None:
+    messages = laps(2)
+    adjuster, corrections = built(messages)
+    _, expected = built(messages, replace(CONFIG, adjustment_schedule=AdjustmentScheduleConfig(enabled=False)))
+    (inputs,) = adjuster.started
+    begun = len(inputs.keyframes)
+    assert begun > PLACES and len(inputs.loops) >= 2
+    assert all(len(loop.observations) for loop in inputs.loops)
+    np.testing.assert_array_equal(inputs.imu.t_ns, [each.estimate.t_ns for each in messages[:begun]])
+    shift = np.array(corrections) - np.array(expected)
+    effect = begun + DELAY - 1  # row of the keyframe at which it is due
+    np.testing.assert_allclose(shift[:effect], 0.0, atol=1e-9)
+    np.testing.assert_allclose(shift[effect:], np.tile(SHIFT, (len(shift) - effect, 1)), atol=0.5 * DRIFT_M)
+
+
+def test_velocities_are_turned_into_the_map_frame() -> None:
+    messages = laps(2)
+    (inputs,) = built(messages)[0].started
+    for each, message in zip(inputs.keyframes, messages, strict=False):
+        R_map_odom = each.T_map_imu[:3, :3] @ message.estimate.T_odom_imu[:3, :3].T
+        np.testing.assert_allclose(each.velocity_m_s, R_map_odom[:, 0], atol=1e-12)
+
+
+def test_map_without_measurements_is_not_adjusted() -> None:
+    adjuster, _ = built([replace(each, measured=None) for each in laps(2)])
+    assert adjuster.started == []
+
+
+def test_adjustment_of_a_map_that_was_given_up_has_no_effect() -> None:
+    adjuster = ShiftingAdjuster()
+    config = replace(CONFIG, adjustment_schedule=replace(CONFIG.adjustment_schedule, keyframes=30))
+    builder = MapBuilder(one_camera(), config, None, adjuster)
+    for message in laps(2):
+        builder.process(message)
+    assert len(adjuster.started) == 1
+    builder.mapper.adjust({10_000: np.eye(4)})
+    graph = builder.mapper.graph
+    assert graph is not None and graph.fixed == ()
+
+
+def test_a_lost_track_begins_no_adjustment() -> None:
+    adjuster = ShiftingAdjuster()
+    builder = MapBuilder(one_camera(), CONFIG, None, adjuster)
+    first, second = laps(1), [measured(keyframe(one_camera(), 20 + place, 1)) for place in range(PLACES)]
+    for message in first:
+        builder.process(message)
+    builder.process(TrackLost(second[0].estimate.t_ns - 1))
+    for message in second:
+        builder.process(message)
+    assert adjuster.started == []
