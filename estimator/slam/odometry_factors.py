@@ -17,7 +17,7 @@ a prior. The relative pose before it gets the covariance by which the previous k
 estimate contains all that the other one knows, their difference has the difference of their covariances.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -190,6 +190,13 @@ def reversed_pose(relative: RelativePose) -> RelativePose:
     A = adjoint(relative.T_first_second)
     T_second_first = inverse_pose(relative.T_first_second)
     return RelativePose(relative.second, relative.first, T_second_first, A @ relative.covariance @ A.T)
+
+
+def scaled(relative: RelativePose, scale: float) -> RelativePose:
+    """Return a relative pose with another scale of its position; its covariance stays."""
+    T = relative.T_first_second.copy()
+    T[:3, 3] *= scale
+    return replace(relative, T_first_second=T)
 
 
 def composed(relative: RelativePose, following: RelativePose) -> RelativePose:

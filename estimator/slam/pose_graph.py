@@ -13,6 +13,7 @@ from dronevio.estimator.slam.odometry_factors import (
     GravityDirection,
     OdometryFactors,
     RelativePose,
+    scaled,
     tilt_axes,
 )
 from dronevio.models.rotation import inverse_pose
@@ -118,25 +119,30 @@ def optimize(graph: PoseGraph, *, robust: bool = True) -> OptimizedGraph:
     return OptimizedGraph(replace(graph, poses=poses), rejected)
 
 
-def remeasured(graph: PoseGraph, poses: Mapping[int, Array]) -> PoseGraph:
+def remeasured(graph: PoseGraph, poses: Mapping[int, Array], scale: float) -> PoseGraph:
     """Return a graph with better poses of some keyframes, which its odometry measures from now on.
 
-    The covariances stay as they are, and so do the loops. Other keyframes are moved with the newest of the better ones.
+    The covariances stay as they are, and so do the loops. Other keyframes are moved with the newest of the better ones,
+    and the odometry after it is scaled.
 
     Args:
         graph: The graph.
         poses: Poses (4, 4) in the map frame by the numbers of the keyframes, one or more of which are in the graph.
+        scale: Ratio of the lengths of the map to those of the odometry.
     """
     newest = max(number for number in poses if number in graph.poses)
     moved = poses[newest] @ inverse_pose(graph.poses[newest])
     after = {number: poses[number] if number in poses else moved @ T for number, T in graph.poses.items()}
+
+    def better(relative: RelativePose) -> RelativePose:
+        if relative.first in poses and relative.second in poses:
+            return replace(relative, T_first_second=inverse_pose(after[relative.first]) @ after[relative.second])
+        return scaled(relative, scale) if relative.second > newest else relative
+
     return replace(
         graph,
         poses=after,
-        odometry=tuple(
-            replace(each, T_first_second=inverse_pose(after[each.first]) @ after[each.second])
-            for each in graph.odometry
-        ),
+        odometry=tuple(better(each) for each in graph.odometry),
         gravity=tuple(replace(each, up_imu=after[each.keyframe][2, :3]) for each in graph.gravity),
         positions=tuple(replace(each, p_map=after[each.keyframe][:3, 3]) for each in graph.positions),
     )

@@ -20,6 +20,7 @@ from dronevio.estimator.slam.odometry_factors import (
     position_variance,
     propagated,
     reversed_pose,
+    scaled,
 )
 from dronevio.estimator.slam.pose_graph import (
     OptimizedGraph,
@@ -34,6 +35,17 @@ Array = npt.NDArray[np.float64]
 
 MAX_PASSED_LOOPS = 4
 """Number of loops of a keyframe up to which those of culled keyframes after it are passed on to it."""
+
+
+@dataclass(frozen=True)
+class TrackScale:
+    """The scale of the odometry in a track by bundle adjustment."""
+
+    first: int
+    """Number of the first keyframe of the track."""
+    ratio: float
+    """Ratio of the lengths of the map to those of the odometry. The scale of an odometry errs for minutes in the same
+    direction, so it is also that of the keyframes to come."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +65,9 @@ class Submap:
     """Number of loops, the last ones of the graph, that wait for an optimization."""
     optimized_ns: int | None = None
     """Time of the newest keyframe at the last optimization [ns]; None before the first one."""
-    is_adjusted: bool = False
-    """Whether bundle adjustment has changed the scale, so that the map frame is no odometry frame any more."""
+    scale: TrackScale | None = None
+    """The scale of the odometry by the last bundle adjustment; None before the first one. After it, the map frame is no
+    odometry frame any more."""
 
     @classmethod
     def begin(cls, number: int, estimate: KeyframeEstimate, track: int) -> "Submap":
@@ -96,6 +109,8 @@ class Submap:
             estimate: The final estimate of the new keyframe.
         """
         node, factors = odometry_factors(anchor, number, estimate, is_map_frame=self._is_odometry_frame(anchor))
+        if self.scale is not None and self.scale.first == anchor.first:
+            factors = replace(factors, relative=scaled(factors.relative, self.scale.ratio))
         T = self.graph.poses[anchor.number] @ factors.relative.T_first_second
         graph, history = (each.with_keyframe(T, factors) for each in (self.graph, self.history))
         covariance = propagated(self.covariances[anchor.number], factors.relative, factors.gravity)
@@ -125,19 +140,17 @@ class Submap:
         covariances = covariances_with_loops(solution.graph, self.covariances, new)
         return replace(self, solution=solution, covariances=covariances, waiting=0, optimized_ns=t_ns)
 
-    def adjusted(self, poses: Mapping[int, Array], t_ns: int) -> "Submap":
+    def adjusted(self, poses: Mapping[int, Array], scale: TrackScale, t_ns: int) -> "Submap":
         """Return the submap with keyframes where bundle adjustment has put them, optimized.
-
-        The odometry between them is that of the adjusted poses from now on, whose scale is better.
 
         Args:
             poses: Adjusted poses (4, 4) of keyframes of this submap, which may be culled.
+            scale: Scale of the newest track by these poses.
             t_ns: Time of the newest keyframe [ns].
         """
-        whole = remeasured(self.whole_graph, poses)
-        graph = remeasured(self.graph, whole.poses)
-        solution = replace(self.solution, graph=graph)
-        return replace(self, solution=solution, history=whole, is_adjusted=True).optimized(t_ns)
+        ratio = scale.ratio / (1.0 if self.scale is None or self.scale.first != scale.first else self.scale.ratio)
+        graph, history = (remeasured(each, poses, ratio) for each in (self.graph, self.whole_graph))
+        return replace(self, solution=replace(self.solution, graph=graph), history=history, scale=scale).optimized(t_ns)
 
     def joined(
         self, other: "Submap", loops: Sequence[RelativePose], t_ns: int, *, other_stays: bool
@@ -162,8 +175,7 @@ class Submap:
         unconnected = {**one.covariances, **dict.fromkeys(two.covariances, UNKNOWN)}
         covariances = covariances_with_loops(solution.graph, unconnected, solution.without_rejected.loops)
         history = joined_graphs(one.whole_graph, two.whole_graph, T_one_two).with_loops(loops)
-        is_adjusted = self.is_adjusted or other.is_adjusted
-        return Submap(solution, self.tracks | other.tracks, covariances, history, 0, t_ns, is_adjusted)
+        return Submap(solution, self.tracks | other.tracks, covariances, history, 0, t_ns, one.scale)
 
     def without(self, number: int, previous: OdometryNode, following: KeyframeEstimate) -> "Submap":
         """Return the submap without a keyframe, which stays in the history.
@@ -214,4 +226,4 @@ class Submap:
 
     def _is_odometry_frame(self, node: OdometryNode) -> bool:
         """Return whether the map frame is the odometry frame of a keyframe."""
-        return node.first == self.graph.first and not self.is_adjusted
+        return node.first == self.graph.first and self.scale is None

@@ -62,6 +62,10 @@ def test_the_pose_is_exact_without_noise() -> None:
         assert isinstance(result, PlaceMatch), result
         assert np.abs(error(result, T_true)).max() < 1e-6
         assert min(result.old_landmarks, result.new_landmarks) > 30
+        seen = result.observations
+        assert np.sum(seen.keyframe == result.query) == result.old_landmarks
+        assert np.sum(seen.keyframe == result.match) == result.new_landmarks
+        assert np.all(seen.landmark >= 0) and np.all(seen.sigma_scale == CONFIG.pose.pixel_sigma)
 
 
 @pytest.mark.slow

@@ -73,6 +73,20 @@ def test_pose_is_found_to_a_millimetre(views: Views) -> None:
     assert 1e-4 < np.sqrt(np.trace(found.covariance[3:, 3:])) < 0.02
 
 
+def test_landmarks_are_observed_where_the_new_camera_sees_them(views: Views) -> None:
+    found = Localizer().localize(views.second, views.images[1], views.first, views.patches, MOTION @ PREDICTION_ERROR)
+    assert found is not None
+    seen, camera = found.observations, views.rig.cameras[0]
+    assert len(seen) > 30 and len(np.unique(seen.landmark)) == len(seen)
+    assert set(seen.keyframe.tolist()) == {views.second.number} and set(seen.camera.tolist()) == {0}
+    in_imu = views.first.landmarks_imu[np.searchsorted(views.first.landmark_ids, seen.landmark)]
+    T_new_first = inverse_pose(MOTION @ camera.T_imu_cam)
+    in_new = in_imu @ T_new_first[:3, :3].T + T_new_first[:3, 3]
+    error_px = camera.model.fx * (seen.xy - in_new[:, :2] / in_new[:, 2:])
+    assert np.sqrt(np.mean(error_px**2)) < 0.5 * seen.sigma_scale[0]
+    np.testing.assert_array_equal(seen.sigma_scale, LocalizationConfig().pose.pixel_sigma)
+
+
 def test_change_of_light_leaves_the_pose(views: Views) -> None:
     darker = tuple(np.clip(0.6 * image + 20.0, 0, 255).astype(np.uint8) for image in views.images[1].images)
     found = Localizer().localize(

@@ -13,6 +13,7 @@ from dronevio.estimator.slam.odometry_factors import (
     RelativePose,
     first_node,
     odometry_factors,
+    scaled,
 )
 from dronevio.estimator.slam.pose_graph import PoseGraph, joined_graphs, optimize
 from dronevio.models.rotation import inverse_pose, pose_matrix, rotation_z
@@ -155,3 +156,11 @@ def test_joined_track_leaves_out_its_positions() -> None:
     poses = {number + 10: T for number, T in one.poses.items()}
     other = PoseGraph(10, one.first_covariance, poses, positions=(replace(one.positions[0], keyframe=12),))
     assert joined_graphs(one, other, np.eye(4)).positions == one.positions
+
+
+def test_scaled_pose_keeps_rotation_and_covariance() -> None:
+    relative = RelativePose(3, 7, pose_matrix(rotation_z(0.4), np.array([1.0, 2.0, 3.0])), np.eye(6))
+    longer = scaled(relative, 1.5)
+    np.testing.assert_allclose(longer.T_first_second, pose_matrix(rotation_z(0.4), np.array([1.5, 3.0, 4.5])))
+    np.testing.assert_array_equal(relative.T_first_second[:3, 3], [1.0, 2.0, 3.0])
+    assert (longer.first, longer.second) == (3, 7) and longer.covariance is relative.covariance

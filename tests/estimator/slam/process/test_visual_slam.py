@@ -36,6 +36,8 @@ class ScriptedOdometry:
 
     keyframes: Sequence[MarginalizedKeyframe | None]
     """The keyframe of each frame; None where the odometry is lost."""
+    causal_error: Array = field(default_factory=lambda: np.eye(4))
+    """Pose of the causal estimates in the frames of the final ones."""
     observer: KeyframeObserver | None = None
     frames: int = 0
     window: list[MarginalizedKeyframe] = field(default_factory=list)
@@ -66,7 +68,8 @@ class ScriptedOdometry:
         if len(self.window) > DELAY:
             self.observer.marginalized(self.window.pop(0).estimate)
         estimate = new.estimate
-        state = NavState(estimate.t_ns, estimate.T_odom_imu, np.zeros(3), np.zeros(3), np.zeros(3), 1e-5 * np.eye(15))
+        T, covariance = estimate.T_odom_imu @ self.causal_error, 1e-5 * np.eye(15)
+        state = NavState(estimate.t_ns, T, np.zeros(3), np.zeros(3), np.zeros(3), covariance)
         times = tuple(each.estimate.t_ns for each in self.window)
         calibration = Calibration(new.keyframe.rig)
         ids, landmarks = estimate.landmark_ids, estimate.landmarks_odom
@@ -87,15 +90,18 @@ def in_second_frame(message: MarginalizedKeyframe) -> MarginalizedKeyframe:
 
 
 def run(
-    monkeypatch: pytest.MonkeyPatch, keyframes: Sequence[MarginalizedKeyframe | None]
+    monkeypatch: pytest.MonkeyPatch, keyframes: Sequence[MarginalizedKeyframe | None], causal_error: Array | None = None
 ) -> tuple[VisualSlam, list[Estimate]]:
     """Return visual SLAM after a flight, and its estimates."""
-    monkeypatch.setattr(visual_slam, "VisualInertialOdometry", ScriptedOdometry(keyframes))
+    odometry = ScriptedOdometry(keyframes, np.eye(4) if causal_error is None else causal_error)
+    monkeypatch.setattr(visual_slam, "VisualInertialOdometry", odometry)
     config = SlamConfig(worker=False, correction_delay=DelayConfig(frames=DELAY))
     slam, estimates, t_ns = VisualSlam(one_camera(), config=config), [], 0
     for message in keyframes:
         t_ns = t_ns + 50_000_000 if message is None else message.estimate.t_ns
         images = (np.zeros((8, 8), np.uint8),) if message is None else message.keyframe.images
+        if causal_error is not None:
+            slam.add_imu(ImuSamples(np.array([t_ns]), np.zeros((1, 3)), np.zeros((1, 3))))
         estimates.append(slam.add_frame(CameraFrame(t_ns, images)))
     return slam, estimates
 
@@ -141,3 +147,17 @@ def test_a_track_without_known_places_is_not_in_the_map(monkeypatch: pytest.Monk
 def test_covariance_before_the_first_correction(monkeypatch: pytest.MonkeyPatch) -> None:
     _, estimates = run(monkeypatch, places([]))
     np.testing.assert_array_equal(estimates[0].map_covariance, 1e-5 * np.eye(6))
+
+
+def test_final_path_has_the_keyframes_at_their_final_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The causal estimates differ from those when the keyframes leave the window, which the map has."""
+    monkeypatch.setattr(visual_slam, "solved", lambda inputs, config: None)  # the pose graph gives the final poses
+    causal_error = pose_matrix(np.eye(3), np.array([0.04, 0.0, -0.02]))
+    rig = one_camera()
+    slam, estimates = run(monkeypatch, [keyframe(rig, p, lap) for lap in range(2) for p in range(PLACES)], causal_error)
+    final = slam.final_map()
+    assert final is not None and len(final.closed) >= 2
+    trajectory = Trajectory.from_states(estimate.state for estimate in estimates if estimate.state is not None)
+    found = final.correction.applied(trajectory)
+    at_keyframes = np.isin(found.t_ns, final.t_ns)
+    np.testing.assert_allclose(found.p_world_imu[at_keyframes], final.Ts_map_imu[:, :3, 3], atol=1e-9)
