@@ -34,7 +34,7 @@ from dronevio.estimator.slam.map_arrays import slam_map
 from dronevio.estimator.slam.odometry_factors import OdometryNode, RelativePose, first_node, propagated
 from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph, optimize
 from dronevio.estimator.slam.saved_map import LAST_KNOWN_NS, KnownMap
-from dronevio.estimator.slam.submap import Submap, TrackScale
+from dronevio.estimator.slam.submap import Adjustment, Submap
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.models.errors import ConfigError
 from dronevio.models.ranges import Range, Settings
@@ -214,8 +214,9 @@ class Mapper:
         """
         home = self._submap_of(self._home)
         if home is not None and poses.keys() <= home.whole_graph.poses.keys():
-            scale = TrackScale(self._nodes[len(self._keyframes) - 1].first, self._scale(poses))
-            adjusted = home.adjusted(poses, scale, self._keyframes[-1].t_ns)
+            newest = self._keyframes[-1]
+            adjustment = Adjustment(max(poses), self._nodes[newest.number].first, self._scale(poses))
+            adjusted = home.adjusted(poses, adjustment, newest.t_ns)
             self._submaps = (*(each for each in self._submaps if each is not home), adjusted)
 
     def map_of(self, solution: OptimizedGraph) -> SlamMap:

@@ -29,6 +29,8 @@ JUDGED_ROTATION_SIGMA_RAD, JUDGED_POSITION_SIGMA_M = 0.005, 0.01
 """Standard deviations that are added to those of a loop where it is judged [rad] and [m]. The graph contains the growth
 of the odometry's covariance since the start, which is less than the error between two keyframes of its middle. A place
 that is mistaken for another one is wrong by far more."""
+ADJUSTED_VARIANCE = 0.1
+"""Ratio of the covariance of a relative pose after bundle adjustment to that by the odometry alone."""
 FIXED_SIGMA = 1e-4
 """Standard deviation of a pose that stays as it is [rad] and [m]; loops of some millimetres move it by micrometres."""
 
@@ -119,16 +121,16 @@ def optimize(graph: PoseGraph, *, robust: bool = True) -> OptimizedGraph:
     return OptimizedGraph(replace(graph, poses=poses), rejected)
 
 
-def remeasured(graph: PoseGraph, poses: Mapping[int, Array], scale: float) -> PoseGraph:
+def remeasured(graph: PoseGraph, poses: Mapping[int, Array], scale: float, known: int = -1) -> PoseGraph:
     """Return a graph with better poses of some keyframes, which its odometry measures from now on.
 
-    The covariances stay as they are, and so do the loops. Other keyframes are moved with the newest of the better ones,
-    and the odometry after it is scaled.
+    Other keyframes are moved with the newest of the better ones, and the odometry after it is scaled. Loops stay.
 
     Args:
         graph: The graph.
         poses: Poses (4, 4) in the map frame by the numbers of the keyframes, one or more of which are in the graph.
         scale: Ratio of the lengths of the map to those of the odometry.
+        known: Number of the keyframe up to which the covariances are those of better poses already.
     """
     newest = max(number for number in poses if number in graph.poses)
     moved = poses[newest] @ inverse_pose(graph.poses[newest])
@@ -136,7 +138,9 @@ def remeasured(graph: PoseGraph, poses: Mapping[int, Array], scale: float) -> Po
 
     def better(relative: RelativePose) -> RelativePose:
         if relative.first in poses and relative.second in poses:
-            return replace(relative, T_first_second=inverse_pose(after[relative.first]) @ after[relative.second])
+            T = inverse_pose(after[relative.first]) @ after[relative.second]
+            covariance = (1.0 if relative.second <= known else ADJUSTED_VARIANCE) * relative.covariance
+            return replace(relative, T_first_second=T, covariance=covariance)
         return scaled(relative, scale) if relative.second > newest else relative
 
     return replace(

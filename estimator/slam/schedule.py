@@ -72,7 +72,7 @@ class AdjustmentScheduleConfig(Settings):
     """Number of closed loops at which the map is adjusted for the first time."""
     growth: Annotated[float, Range(1.01, 100.0)] = 1.3
     """Ratio of the number of keyframes to that at the last adjustment at which the map is adjusted again."""
-    landmark_step: Annotated[int, Range(1, 1000)] = 3
+    landmark_step: Annotated[int, Range(1, 1000)] = 2
     """Every how many-th landmark is used, for the sake of the processor time."""
     keyframes: Annotated[int, Range(1, 100_000)] = 10
     """Number of keyframes after which the adjustment of a small map takes effect."""

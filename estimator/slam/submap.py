@@ -23,6 +23,7 @@ from dronevio.estimator.slam.odometry_factors import (
     scaled,
 )
 from dronevio.estimator.slam.pose_graph import (
+    ADJUSTED_VARIANCE,
     OptimizedGraph,
     PoseGraph,
     joined_graphs,
@@ -38,14 +39,16 @@ MAX_PASSED_LOOPS = 4
 
 
 @dataclass(frozen=True)
-class TrackScale:
-    """The scale of the odometry in a track by bundle adjustment."""
+class Adjustment:
+    """What the last bundle adjustment of a submap tells of the odometry."""
 
+    newest: int
+    """Number of the newest keyframe that was adjusted."""
     first: int
-    """Number of the first keyframe of the track."""
-    ratio: float
-    """Ratio of the lengths of the map to those of the odometry. The scale of an odometry errs for minutes in the same
-    direction, so it is also that of the keyframes to come."""
+    """Number of the first keyframe of the track of the odometry."""
+    scale: float
+    """Ratio of the lengths of the map to those of the odometry in that track. The scale of an odometry errs for minutes
+    in the same direction, so it is also that of the keyframes to come."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +68,8 @@ class Submap:
     """Number of loops, the last ones of the graph, that wait for an optimization."""
     optimized_ns: int | None = None
     """Time of the newest keyframe at the last optimization [ns]; None before the first one."""
-    scale: TrackScale | None = None
-    """The scale of the odometry by the last bundle adjustment; None before the first one. After it, the map frame is no
-    odometry frame any more."""
+    adjustment: Adjustment | None = None
+    """The last bundle adjustment; None before the first one. After it, the map frame is no odometry frame any more."""
 
     @classmethod
     def begin(cls, number: int, estimate: KeyframeEstimate, track: int) -> "Submap":
@@ -109,8 +111,7 @@ class Submap:
             estimate: The final estimate of the new keyframe.
         """
         node, factors = odometry_factors(anchor, number, estimate, is_map_frame=self._is_odometry_frame(anchor))
-        if self.scale is not None and self.scale.first == anchor.first:
-            factors = replace(factors, relative=scaled(factors.relative, self.scale.ratio))
+        factors = replace(factors, relative=scaled(factors.relative, self._scale_of(anchor.first)))
         T = self.graph.poses[anchor.number] @ factors.relative.T_first_second
         graph, history = (each.with_keyframe(T, factors) for each in (self.graph, self.history))
         covariance = propagated(self.covariances[anchor.number], factors.relative, factors.gravity)
@@ -140,17 +141,19 @@ class Submap:
         covariances = covariances_with_loops(solution.graph, self.covariances, new)
         return replace(self, solution=solution, covariances=covariances, waiting=0, optimized_ns=t_ns)
 
-    def adjusted(self, poses: Mapping[int, Array], scale: TrackScale, t_ns: int) -> "Submap":
+    def adjusted(self, poses: Mapping[int, Array], adjustment: Adjustment, t_ns: int) -> "Submap":
         """Return the submap with keyframes where bundle adjustment has put them, optimized.
 
         Args:
             poses: Adjusted poses (4, 4) of keyframes of this submap, which may be culled.
-            scale: Scale of the newest track by these poses.
+            adjustment: What they tell of the odometry.
             t_ns: Time of the newest keyframe [ns].
         """
-        ratio = scale.ratio / (1.0 if self.scale is None or self.scale.first != scale.first else self.scale.ratio)
-        graph, history = (remeasured(each, poses, ratio) for each in (self.graph, self.whole_graph))
-        return replace(self, solution=replace(self.solution, graph=graph), history=history, scale=scale).optimized(t_ns)
+        scale = adjustment.scale / self._scale_of(adjustment.first)
+        known = -1 if self.adjustment is None else self.adjustment.newest
+        graph, history = (remeasured(each, poses, scale, known) for each in (self.graph, self.whole_graph))
+        solution = replace(self.solution, graph=graph)
+        return replace(self, solution=solution, history=history, adjustment=adjustment).optimized(t_ns)
 
     def joined(
         self, other: "Submap", loops: Sequence[RelativePose], t_ns: int, *, other_stays: bool
@@ -175,7 +178,7 @@ class Submap:
         unconnected = {**one.covariances, **dict.fromkeys(two.covariances, UNKNOWN)}
         covariances = covariances_with_loops(solution.graph, unconnected, solution.without_rejected.loops)
         history = joined_graphs(one.whole_graph, two.whole_graph, T_one_two).with_loops(loops)
-        return Submap(solution, self.tracks | other.tracks, covariances, history, 0, t_ns, one.scale)
+        return Submap(solution, self.tracks | other.tracks, covariances, history, 0, t_ns, one.adjustment)
 
     def without(self, number: int, previous: OdometryNode, following: KeyframeEstimate) -> "Submap":
         """Return the submap without a keyframe, which stays in the history.
@@ -194,8 +197,10 @@ class Submap:
         after = next(relative for relative in graph.odometry if relative.first == number)
         is_map_frame = self._is_odometry_frame(previous)
         _, merged = odometry_factors(previous, after.second, following, is_map_frame=is_map_frame)
+        is_adjusted = self.adjustment is not None and after.second <= self.adjustment.newest
+        covariance = (ADJUSTED_VARIANCE if is_adjusted else 1.0) * merged.relative.covariance
         T = before.T_first_second @ after.T_first_second  # also where bundle adjustment has changed them
-        relative = replace(merged.relative, T_first_second=T)
+        relative = replace(merged.relative, T_first_second=T, covariance=covariance)
         odometry = tuple(relative if each is after else each for each in graph.odometry if each is not before)
         gravity = [each for each in graph.gravity if each.keyframe not in (number, after.second)]
         gravity += [] if merged.gravity is None else [merged.gravity]
@@ -226,4 +231,8 @@ class Submap:
 
     def _is_odometry_frame(self, node: OdometryNode) -> bool:
         """Return whether the map frame is the odometry frame of a keyframe."""
-        return node.first == self.graph.first and self.scale is None
+        return node.first == self.graph.first and self.adjustment is None
+
+    def _scale_of(self, first: int) -> float:
+        """Return the scale of the odometry in the track that begins with a keyframe, 1 if it is not known."""
+        return self.adjustment.scale if self.adjustment is not None and self.adjustment.first == first else 1.0

@@ -14,7 +14,7 @@ from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
 from dronevio.estimator.slam.mapping import KeyframeView, Mapper
 from dronevio.estimator.slam.odometry_factors import RelativePose, first_node, propagated
 from dronevio.estimator.slam.pose_graph import PoseGraph, joined_graphs, optimize
-from dronevio.estimator.slam.submap import Submap, TrackScale
+from dronevio.estimator.slam.submap import Adjustment, Submap
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.models.map_correction import MapCorrection
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix, rotation_z
@@ -251,7 +251,7 @@ def adjusted_twice_as_large(odometry_flight: "OdometryFlight") -> tuple[Submap, 
     for number in range(ADJUSTED):
         poses[number] = submap.graph.poses[number].copy()
         poses[number][:3, 3] *= 2.0
-    return submap, submap.adjusted(poses, TrackScale(0, 2.0), estimates[-1].t_ns)
+    return submap, submap.adjusted(poses, Adjustment(ADJUSTED - 1, 0, 2.0), estimates[-1].t_ns)
 
 
 def test_adjusted_poses_are_the_optimum_of_the_graph(odometry_flight: "OdometryFlight") -> None:
@@ -268,7 +268,7 @@ def test_adjusted_poses_are_the_optimum_of_the_graph(odometry_flight: "OdometryF
         expected = (inverse_pose(estimates[ADJUSTED - 1].T_odom_imu) @ estimates[number].T_odom_imu)[:3, 3]
         found = (inverse_pose(extended.graph.poses[ADJUSTED - 1]) @ extended.graph.poses[number])[:3, 3]
         np.testing.assert_allclose(found, 2.0 * expected, atol=1e-5)
-    again = after.adjusted(after.graph.poses, TrackScale(0, 2.0), 0)
+    again = after.adjusted(after.graph.poses, Adjustment(ADJUSTED - 1, 0, 2.0), 0)
     np.testing.assert_allclose(again.graph.poses[SPLIT - 1], after.graph.poses[SPLIT - 1], atol=1e-5)
 
 
@@ -300,7 +300,7 @@ def test_culled_keyframes_are_adjusted_too(odometry_flight: "OdometryFlight") ->
     poses = {number: 1.0 * T for number, T in before.graph.poses.items() if number < ADJUSTED}
     for T in poses.values():
         T[:3, 3] *= 2.0
-    after = culled.adjusted(poses, TrackScale(0, 2.0), 0)
+    after = culled.adjusted(poses, Adjustment(ADJUSTED - 1, 0, 2.0), 0)
     np.testing.assert_array_equal(after.whole_graph.poses[20], poses[20])
     np.testing.assert_allclose(after.graph.poses[21], poses[21], atol=1e-5)
 

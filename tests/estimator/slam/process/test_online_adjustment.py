@@ -12,7 +12,7 @@ from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.flight_measurements import KeyframeMeasurements
-from dronevio.estimator.slam.map_builder import MapBuilder, MarginalizedKeyframe, TrackLost
+from dronevio.estimator.slam.map_builder import MapBuilder, MapMessage, MarginalizedKeyframe, TrackLost
 from dronevio.estimator.slam.mapping import MappingConfig
 from dronevio.estimator.slam.schedule import AdjustmentScheduleConfig
 from dronevio.estimator.types import Calibration
@@ -147,7 +147,8 @@ def test_scale_without_the_newest_track_is_one(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(mapping, "MIN_SCALED_M", 0.1)
     builder = MapBuilder(one_camera(), CONFIG, None, ShiftingAdjuster())
     first, later = laps(1), measured(keyframe(one_camera(), 20, 1))
-    for message in (*first, TrackLost(later.estimate.t_ns - 1), later):
+    messages: list[MapMessage] = [*first, TrackLost(later.estimate.t_ns - 1), later]
+    for message in messages:
         builder.process(message)
     poses = {number: 2.0 * message.estimate.T_odom_imu for number, message in enumerate(first)}
     assert builder.mapper._scale(poses) == 1.0
