@@ -94,7 +94,9 @@ def track_sigma_scale(observations: Observations) -> Array:
     return np.asarray(np.maximum(observations.scale, 1.0) * decorrelation)
 
 
-def observation_table(k: int, observations: Observations) -> ObservationTable:
+def observation_table(
+    k: int, observations: Observations, match_sigma_scale: float = MATCH_SIGMA_SCALE
+) -> ObservationTable:
     """Return the observations of a keyframe in all cameras as a table.
 
     The standard deviation of a track grows with the decorrelation of its patch, and in proportion to its scale where
@@ -103,13 +105,14 @@ def observation_table(k: int, observations: Observations) -> ObservationTable:
     Args:
         k: Number of the keyframe.
         observations: Tracks and stereo matches of the keyframe.
+        match_sigma_scale: Standard deviation of a stereo match relative to that of its track.
 
     Returns:
         The tracks, then the stereo matches, as if no keyframe had seen them before.
     """
     o, m = observations, observations.matches
     of_tracks = track_sigma_scale(o)
-    of_matches = np.maximum(o.scale, 1.0)[np.searchsorted(o.ids, m.ids)] * MATCH_SIGMA_SCALE
+    of_matches = np.maximum(o.scale, 1.0)[np.searchsorted(o.ids, m.ids)] * match_sigma_scale
     return ObservationTable(
         np.concatenate([o.ids, m.ids]),
         np.full(len(o) + len(m), k, dtype=np.int64),

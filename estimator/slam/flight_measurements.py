@@ -17,6 +17,10 @@ from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
 
+ADJUSTED_MATCH_SIGMA_SCALE = 0.8
+"""Standard deviation of a stereo match relative to that of its track in bundle adjustment, where the matches have to keep
+the scale against the errors that the observations of one track have in common."""
+
 
 @dataclass(frozen=True, eq=False)
 class KeyframeMeasurements:
@@ -97,6 +101,6 @@ class FlightMeasurements:
             R_map_odom @ measured.state.velocity_m_s,
             measured.state.gyro_bias_rad_s,
             measured.state.accel_bias_m_s2,
-            observation_table(keyframe.number, measured.observations),
+            observation_table(keyframe.number, measured.observations, ADJUSTED_MATCH_SIGMA_SCALE),
             keyframe.track,
         )

@@ -26,6 +26,8 @@ def test_sigma_scale_of_tracks_and_stereo_matches() -> None:
     of_tracks = [1.0, 1.0 + 0.1 * DECORRELATION_SIGMA_SCALE, 1.6 * (1.0 + 0.05 * DECORRELATION_SIGMA_SCALE)]
     np.testing.assert_allclose(table.sigma_scale, [*of_tracks, *(np.array([1.6, 1.0, 1.6]) * MATCH_SIGMA_SCALE)])
     np.testing.assert_array_equal(table.variance_growth, np.ones(6))
+    heavier = observation_table(4, replace(observations, matches=matches), match_sigma_scale=0.5)
+    np.testing.assert_allclose(heavier.sigma_scale, [*of_tracks, 0.8, 0.5, 0.8])
 
 
 def test_keyframes_of_a_landmark_are_counted_once() -> None:
