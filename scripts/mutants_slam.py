@@ -139,5 +139,67 @@ SLAM = (
         "np.ones(len(words))",
         ("tests/estimator/slam/test_index.py::test_a_word_of_every_keyframe_says_little",),
     ),
+    Mutant(
+        "graph-late-knowledge",
+        "Pose graph: a position that becomes certain late gets no prior.",
+        "estimator/slam/odometry_factors.py",
+        "if is_map_frame and position_variance(",
+        "if False and position_variance(",
+        (
+            "tests/estimator/slam/mapping/test_odometry_factors.py::"
+            "test_loop_at_an_uncertain_keyframe_corrects_that_keyframe",
+        ),
+    ),
+    Mutant(
+        "graph-constant-factors",
+        "Pose graph: factors of fixed keyframes alone hide whether loops agree.",
+        "estimator/slam/pose_graph.py",
+        "if not {relative.first, relative.second} <= is_fixed:",
+        "if True:",
+        ("tests/estimator/slam/mapping/test_submaps.py::test_loops_with_fixed_keyframes_are_judged",),
+    ),
+    Mutant(
+        "adjustment-by-relative-poses",
+        "Bundle adjustment: loops enter by their relative poses, too, which hold the scale.",
+        "estimator/slam/bundle_adjustment.py",
+        "if len(loop.observations):",
+        "if False:",
+        (
+            "tests/estimator/slam/mapping/test_bundle_adjustment.py::"
+            "test_landmarks_that_are_seen_again_take_the_place_of_a_loop",
+        ),
+    ),
+    Mutant(
+        "adjustment-observations-twice",
+        "Bundle adjustment: an observation counts as often as there are loops with it.",
+        "estimator/slam/bundle_adjustment.py",
+        "    table = table[np.sort(np.unique(of_one, axis=0, return_index=True)[1])]\n",
+        "",
+        ("tests/estimator/slam/mapping/test_bundle_adjustment.py::test_an_observation_by_several_loops_counts_once",),
+    ),
+    Mutant(
+        "adjustment-scale-forgotten",
+        "Submap: the odometry after an adjustment keeps its own scale.",
+        "estimator/slam/submap.py",
+        "return self.adjustment.scale if",
+        "return 1.0 if",
+        ("tests/estimator/slam/mapping/test_submaps.py::test_adjusted_poses_are_the_optimum_of_the_graph",),
+    ),
+    Mutant(
+        "adjustment-stiffer-again",
+        "Submap: each adjustment makes the odometry stiffer.",
+        "estimator/slam/pose_graph.py",
+        "(1.0 if relative.second <= known else ADJUSTED_VARIANCE)",
+        "ADJUSTED_VARIANCE",
+        ("tests/estimator/slam/mapping/test_submaps.py::test_adjusted_odometry_is_stiffer_once",),
+    ),
+    Mutant(
+        "final-path-of-smoothed-keyframes",
+        "Final path: the correction is that of the keyframes as they left the window.",
+        "estimator/slam/visual_slam.py",
+        "if len(found.closed)\n",
+        "if False\n",
+        ("tests/estimator/slam/process/test_visual_slam.py::test_final_path_has_the_keyframes_at_their_final_poses",),
+    ),
 )
 """Faults of the recognition of places and of the map."""

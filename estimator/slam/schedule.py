@@ -94,7 +94,7 @@ class AdjustmentSchedule:
         self._due: int | None = None
 
     def takes_effect(self, keyframes: int) -> bool:
-        """Return whether an adjustment is due, and forget it.
+        """Return whether an adjustment is due, once for each.
 
         Args:
             keyframes: Number of keyframes of the flight.

@@ -272,6 +272,7 @@ def test_missing_files_are_named(scratch: Path) -> None:
 
 @settings(max_examples=200, deadline=None)
 @example(1191, 8, "e")  # a rotation of 1e200
+@example(142, 3, "")  # a coefficient of the lens of 7395907
 @given(st.integers(0, len(CHAIN + IMU)), st.integers(0, 40), st.text("abT_:[],# \n\t-%\"'&*!{}0.1e", max_size=6))
 def test_broken_text_is_refused_or_read(start: int, length: int, inserted: str) -> None:
     """A fuzzed file is refused with file and cause, or yields a valid rig."""

@@ -241,7 +241,8 @@ def _read_camera(yaml: SensorYaml, cam: str, previous: list[RigCamera], rate_hz:
     if min(fx, fy) <= 0.0:
         raise yaml.error(f"{cam}intrinsics", "fu, fv, pu, pv with positive focal lengths")
     distortion = (k[0], k[1], k[2], k[3])
-    model = CameraModel(int(size[0]), int(size[1]), fx, fy, cx, cy, distortion, LENS_NAMES.get(lens, "radtan"))
+    with as_input_error(yaml.path):
+        model = CameraModel(int(size[0]), int(size[1]), fx, fy, cx, cy, distortion, LENS_NAMES.get(lens, "radtan"))
     rate_hz = yaml.positive(f"{cam}rate_hz") if f"{cam}rate_hz" in yaml else rate_hz
     readout_s = yaml.number(f"{cam}readout_s") if f"{cam}readout_s" in yaml else 0.0
     with as_input_error(yaml.path):

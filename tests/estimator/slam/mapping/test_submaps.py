@@ -13,7 +13,7 @@ from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
 from dronevio.estimator.slam.mapping import KeyframeView, Mapper
 from dronevio.estimator.slam.odometry_factors import RelativePose, first_node, propagated
-from dronevio.estimator.slam.pose_graph import PoseGraph, joined_graphs, optimize
+from dronevio.estimator.slam.pose_graph import ADJUSTED_VARIANCE, PoseGraph, joined_graphs, optimize
 from dronevio.estimator.slam.submap import Adjustment, Submap
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.models.map_correction import MapCorrection
@@ -272,14 +272,34 @@ def test_adjusted_poses_are_the_optimum_of_the_graph(odometry_flight: "OdometryF
     np.testing.assert_allclose(again.graph.poses[SPLIT - 1], after.graph.poses[SPLIT - 1], atol=1e-5)
 
 
-def test_loops_still_bend_an_adjusted_map(odometry_flight: "OdometryFlight") -> None:
+def test_adjusted_odometry_is_stiffer_once(odometry_flight: "OdometryFlight") -> None:
+    before, after = adjusted_twice_as_large(odometry_flight)
+    again = after.adjusted(after.graph.poses, Adjustment(SPLIT - 1, 0, 2.0), 0)
+    for step, adjusted, twice in zip(before.graph.odometry, after.graph.odometry, again.graph.odometry, strict=True):
+        is_adjusted = step.second < ADJUSTED
+        expected = (ADJUSTED_VARIANCE if is_adjusted else 1.0) * step.covariance
+        np.testing.assert_allclose(adjusted.covariance, expected, rtol=1e-12)
+        np.testing.assert_allclose(twice.covariance, ADJUSTED_VARIANCE * step.covariance, rtol=1e-12)
+    estimates = odometry_flight.marginalized
+    culled, of_odometry = (
+        next(
+            each.covariance
+            for each in submap.without(20, first_node(19, estimates[19]), estimates[21]).graph.odometry
+            if each.second == 21
+        )
+        for submap in (after, before)
+    )
+    np.testing.assert_allclose(culled, ADJUSTED_VARIANCE * of_odometry, rtol=1e-12)
+
+
+def test_loops_still_move_an_adjusted_map(odometry_flight: "OdometryFlight") -> None:
     _, after = adjusted_twice_as_large(odometry_flight)
     T = after.graph.poses
     T_loop = inverse_pose(T[3]) @ T[30] @ pose_matrix(np.eye(3), np.array([0.02, 0.0, 0.0]))
     loop = RelativePose(3, 30, T_loop, 1e-10 * np.eye(6))
-    bent = after.with_loops([loop]).optimized(0)
-    assert bent.closed_loops == (loop,)
-    np.testing.assert_allclose(inverse_pose(bent.graph.poses[3]) @ bent.graph.poses[30], T_loop, atol=1e-3)
+    moved = after.with_loops([loop]).optimized(0)
+    assert moved.closed_loops == (loop,)
+    np.testing.assert_allclose(inverse_pose(moved.graph.poses[3]) @ moved.graph.poses[30], T_loop, atol=1e-3)
 
 
 def test_a_culled_keyframe_leaves_the_adjusted_odometry(odometry_flight: "OdometryFlight") -> None:
