@@ -312,6 +312,13 @@ def test_errors_name_file_line_and_cause(flight: Path, name: str, old: str, new:
     assert found in str(error)
 
 
+def test_intrinsics_outside_their_range_are_an_error_of_the_file(flight: Path) -> None:
+    path = flight / "mav0" / "cam0" / "sensor.yaml"
+    edit(path, lambda text: text.replace("[20.333333333333332,", "[1e9,", 1))
+    error = refused(flight)
+    assert error.path == path and "CameraModel.fx = 1000000000.0" in str(error)
+
+
 @pytest.mark.parametrize("name", ["cam0/data.csv", "imu0/data.csv", "state_groundtruth_estimate0/data.csv"])
 def test_truncated_tables_are_refused_or_shorter(flight: Path, name: str) -> None:
     path = flight / "mav0" / name

@@ -95,9 +95,9 @@ def _read_camera(yaml: SensorYaml) -> RigCamera:
     if min(fx, fy) <= 0.0:
         raise yaml.error("intrinsics", "fu, fv, cu, cv with positive focal lengths")
     k = yaml.numbers("distortion_coefficients", 4)
-    model = CameraModel(int(size[0]), int(size[1]), fx, fy, cx, cy, (k[0], k[1], k[2], k[3]), LENS_NAMES[lens])
     readout_s = yaml.number("readout_s") if "readout_s" in yaml else 0.0
     with as_input_error(yaml.path):
+        model = CameraModel(int(size[0]), int(size[1]), fx, fy, cx, cy, (k[0], k[1], k[2], k[3]), LENS_NAMES[lens])
         return RigCamera(model, yaml.pose("T_BS"), yaml.positive("rate_hz"), readout_s)
 
 
