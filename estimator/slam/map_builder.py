@@ -183,11 +183,11 @@ class MapBuilder:
 
     def _begin_adjustment(self, measurements: FlightMeasurements, correction: Correction) -> None:
         """Begin an adjustment if it is time for one and the newest keyframe is in the map."""
-        graph = self.mapper.accepted_graph
-        if graph is None or correction.T_map_odom is None:
+        graph, keyframes = self.mapper.accepted_graph, self.mapper.keyframes
+        if graph is None or correction.T_map_odom is None or not measurements.covers(keyframes):
             return
         if self._schedule.begins(self._keyframes, len(graph.loops)):
-            self._adjuster.start(measurements.inputs(self.mapper.keyframes, graph))
+            self._adjuster.start(measurements.inputs(keyframes, graph))
 
     def _view(self, keyframe: ImagedKeyframe) -> KeyframeView:
         """Return what the cameras show at a keyframe."""

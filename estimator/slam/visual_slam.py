@@ -268,7 +268,7 @@ class _KeyframeMessages:
     def __init__(self) -> None:
         """Begin without keyframes."""
         self._frame: CameraFrame | None = None
-        self._imu: list[ImuSamples] = []  # since those of the last keyframe that was marginalized
+        self._imu: list[ImuSamples] | None = None  # since those of the last keyframe; None before the first samples
         self._imu_noise: PreintegrationParams | None = None
         self._has_map_pose = True
         self._waiting: dict[int, tuple[OdometryKeyframe, ImagedKeyframe]] = {}
@@ -276,7 +276,7 @@ class _KeyframeMessages:
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Keep IMU samples for the next keyframe that leaves the window."""
-        self._imu.append(samples)
+        self._imu = [*(self._imu or ()), samples]
 
     def begin_frame(self, frame: CameraFrame, imu_noise: PreintegrationParams, *, has_map_pose: bool) -> None:
         """Keep the images of the newest frame, which may become a keyframe.
@@ -316,8 +316,9 @@ class _KeyframeMessages:
             return
         known, imaged = waiting
         measured = None
-        if self._imu and self._imu_noise is not None:
-            imu, self._imu = ImuSamples.concatenated(self._imu), []
+        if self._imu is not None and self._imu_noise is not None:
+            # Several keyframes may leave the window at one frame, of which the later ones have no further samples.
+            imu, self._imu = ImuSamples.concatenated(self._imu or [ImuSamples.empty()]), []
             measured = KeyframeMeasurements(known.state, known.observations, known.calibration, imu, self._imu_noise)
         self._messages.append(MarginalizedKeyframe(imaged, estimate, measured))
 

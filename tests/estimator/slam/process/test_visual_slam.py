@@ -161,3 +161,24 @@ def test_final_path_has_the_keyframes_at_their_final_poses(monkeypatch: pytest.M
     found = final.correction.applied(trajectory)
     at_keyframes = np.isin(found.t_ns, final.t_ns)
     np.testing.assert_allclose(found.p_world_imu[at_keyframes], final.Ts_map_imu[:, :3, 3], atol=1e-9)
+
+
+def test_keyframes_that_leave_the_window_together_have_measurements() -> None:
+    rig, messages = one_camera(), visual_slam._KeyframeMessages()
+    noise = PreintegrationParams.of(rig.imu, PreintegrationConfig())
+    pair = [keyframe(rig, place, 0) for place in range(2)]
+    for each in pair:
+        t_ns = each.estimate.t_ns
+        messages.add_imu(ImuSamples(np.array([t_ns]), np.zeros((1, 3)), np.zeros((1, 3))))
+        messages.begin_frame(CameraFrame(t_ns, each.keyframe.images), noise, has_map_pose=True)
+        state = NavState(t_ns, each.estimate.T_odom_imu, np.zeros(3), np.zeros(3), np.zeros(3))
+        times = tuple(other.estimate.t_ns for other in pair)
+        known = each.estimate.landmark_ids, each.estimate.landmarks_odom
+        calibration = Calibration(rig)
+        messages.added(
+            OdometryKeyframe(t_ns, state, each.keyframe.observations, calibration, True, True, times, *known)
+        )
+    for each in pair:
+        messages.marginalized(each.estimate)
+    found = [m.measured for m in messages.take() if isinstance(m, MarginalizedKeyframe)]
+    assert [m is not None and len(m.imu) for m in found] == [2, 0]
