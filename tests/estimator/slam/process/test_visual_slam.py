@@ -163,7 +163,7 @@ def test_final_path_has_the_keyframes_at_their_final_poses(monkeypatch: pytest.M
     np.testing.assert_allclose(found.p_world_imu[at_keyframes], final.Ts_map_imu[:, :3, 3], atol=1e-9)
 
 
-def test_keyframes_that_leave_the_window_together_have_measurements() -> None:
+def test_keyframes_that_leave_together_have_measurements() -> None:
     rig, messages = one_camera(), visual_slam._KeyframeMessages()
     noise = PreintegrationParams.of(rig.imu, PreintegrationConfig())
     pair = [keyframe(rig, place, 0) for place in range(2)]
