@@ -51,7 +51,7 @@ class AdjustmentConfig(Settings):
     tolerance: Annotated[float, Range(1e-9, 1.0)] = 1e-3
     """Relative decrease of the error at which the steps end."""
     landmark_step: Annotated[int, Range(1, 1000)] = 1
-    """Every how many-th landmark is used."""
+    """Number of landmarks of which one is used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,6 +198,8 @@ def _triangulated(inputs: AdjustmentInputs, config: AdjustmentConfig) -> tuple[O
     of_one = np.column_stack([table.landmark, table.keyframe, table.camera])
     table = table[np.sort(np.unique(of_one, axis=0, return_index=True)[1])]
     table, starts, counts = _with_views(table, config.min_views)
+    if not len(table):
+        return table, {}
     Ts = {k.number: k.T_map_imu @ inputs.calibration.Ts_imu_cam for k in inputs.keyframes}
     T = np.stack([Ts[k][c] for k, c in zip(table.keyframe.tolist(), table.camera.tolist(), strict=True)])
     found = triangulate(starts, T[:, :3, :3], T[:, :3, 3], table.xy)

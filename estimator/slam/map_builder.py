@@ -91,7 +91,8 @@ class MapCost:
     waits: int
     """Number of answers for which a frame had to wait, since the worker process was not ready."""
     worker_cpu_s: float
-    """Processor time of the worker process without its start [s]; 0 for a map in the process of the odometry."""
+    """Processor time of the worker process without its start, and of the adjustments that it has started [s]; 0 for a
+    map in the process of the odometry."""
 
     @property
     def worker_cpu_ms_per_frame(self) -> float:

@@ -157,3 +157,12 @@ def test_every_third_landmark_gives_nearly_the_same(
     assert any(full[k].tobytes() != part[k].tobytes() for k in full)
     errors = [rmse_m(odometry_flight, some, poses) for poses in (full, part)]
     assert errors[1] < 3.0 * errors[0]
+
+
+def test_landmarks_with_few_views_leave_the_imu_alone(
+    odometry_flight: "OdometryFlight", adjustment_inputs: AdjustmentInputs
+) -> None:
+    some = replace(adjustment_inputs, keyframes=adjustment_inputs.keyframes[:5], loops=())
+    poses = adjust(some, AdjustmentConfig(min_views=100))
+    assert set(poses) == {keyframe.number for keyframe in some.keyframes}
+    assert rmse_m(odometry_flight, some, poses) < 0.05

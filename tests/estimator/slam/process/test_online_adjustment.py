@@ -12,7 +12,15 @@ from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.flight_measurements import KeyframeMeasurements
-from dronevio.estimator.slam.map_builder import MapBuilder, MapMessage, MarginalizedKeyframe, TrackLost
+from dronevio.estimator.slam.map_builder import (
+    LocalMap,
+    MapBuilder,
+    MapMessage,
+    MarginalizedKeyframe,
+    OdometryMap,
+    TrackLost,
+)
+from dronevio.estimator.slam.map_process import MapProcess
 from dronevio.estimator.slam.mapping import MappingConfig
 from dronevio.estimator.slam.schedule import AdjustmentScheduleConfig
 from dronevio.estimator.types import Calibration
@@ -152,3 +160,23 @@ def test_scale_without_the_newest_track_is_one(monkeypatch: pytest.MonkeyPatch) 
         builder.process(message)
     poses = {number: 2.0 * message.estimate.T_odom_imu for number, message in enumerate(first)}
     assert builder.mapper._scale(poses) == 1.0
+
+
+def answers(map_: OdometryMap, messages: list[MarginalizedKeyframe]) -> list[bytes]:
+    """Return the corrections of the odometry by the answers of a map."""
+    for message in messages:
+        map_.send(message)
+    found = [map_.receive() for _ in messages]
+    return [b"" if each is None or each.T_map_odom is None else each.T_map_odom.tobytes() for each in found]
+
+
+def test_adjusted_map_in_a_worker_process_is_the_same() -> None:
+    messages = laps(2)
+    worker = MapProcess(one_camera(), CONFIG)
+    try:
+        found = answers(worker, messages)
+    finally:
+        worker.close()
+    assert found == answers(LocalMap(one_camera(), CONFIG), messages)
+    without = replace(CONFIG, adjustment_schedule=AdjustmentScheduleConfig(enabled=False))
+    assert found != answers(LocalMap(one_camera(), without), messages)  # adjustments have had an effect
