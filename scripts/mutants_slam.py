@@ -170,6 +170,14 @@ SLAM = (
         ),
     ),
     Mutant(
+        "adjustment-fixed-rig",
+        "Bundle adjustment: the second camera is where the calibration has it.",
+        "estimator/slam/bundle_adjustment.py",
+        "if camera in estimated:",
+        "if False:",
+        ("tests/estimator/slam/mapping/test_bundle_adjustment.py::test_common_error_of_stereo_matches_is_estimated",),
+    ),
+    Mutant(
         "adjustment-observations-twice",
         "Bundle adjustment: an observation counts as often as there are loops with it.",
         "estimator/slam/bundle_adjustment.py",

@@ -122,7 +122,9 @@ class ImuBuffer:
         """
         if self._samples is None or len(self._samples) == 0:
             return NO_INCREMENTS
-        taken = self._increments(self._samples, t_ns, held=True)
+        # Later samples than the first after t make no difference, and there may be those of a whole flight.
+        until = int(np.searchsorted(self._samples.t_ns, t_ns, side="right")) + 1
+        taken = self._increments(self._samples[:until], t_ns, held=True)
         self._start_ns = t_ns
         # The sample at or before t stays: the midpoint rule averages a sample with its predecessor.
         first = int(np.searchsorted(self._samples.t_ns, t_ns, side="right")) - 1

@@ -1,6 +1,6 @@
 """Settings of visual SLAM, beside those of its odometry."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig
 from dronevio.estimator.slam.mapping import MappingConfig
@@ -18,15 +18,10 @@ class SlamConfig(Settings):
     mapping: MappingConfig = field(default_factory=MappingConfig)
     """Settings of the mapper."""
     adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
-    """Settings of the bundle adjustment of the map."""
+    """Settings of the bundle adjustment of the map, during the flight and after it."""
     adjustment_schedule: AdjustmentScheduleConfig = field(default_factory=AdjustmentScheduleConfig)
     """When the map is adjusted during the flight."""
     correction_delay: DelayConfig = field(default_factory=DelayConfig)
     """Delay between a keyframe that joins the map and the correction of the estimate by it."""
     worker: bool = True
     """Build the map in a worker process, while the odometry goes on; results do not depend on it."""
-
-    @property
-    def online_adjustment(self) -> AdjustmentConfig:
-        """Settings of the bundle adjustment during the flight."""
-        return replace(self.adjustment, landmark_step=self.adjustment_schedule.landmark_step)

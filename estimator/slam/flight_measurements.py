@@ -17,7 +17,7 @@ from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
 
-ADJUSTED_MATCH_SIGMA_SCALE = 0.8
+ADJUSTED_MATCH_SIGMA_SCALE = 0.3
 """Standard deviation of a stereo match relative to that of its track in bundle adjustment, where the matches have to
 keep the scale against the errors that the observations of one track have in common."""
 

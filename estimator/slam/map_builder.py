@@ -202,7 +202,7 @@ class LocalMap:
 
     def __init__(self, rig: Rig, config: SlamConfig, known: KnownMap | None = None) -> None:
         """Begin with an empty map, or continue a saved one; see `MapBuilder`."""
-        self._builder = MapBuilder(rig, config, known, LocalAdjuster(config.online_adjustment))
+        self._builder = MapBuilder(rig, config, known, LocalAdjuster(config.adjustment))
         self._answers: deque[Correction | None] = deque()
         self._results = 0
 

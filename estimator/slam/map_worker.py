@@ -122,7 +122,7 @@ def _answer(requests: Connection, answers: Connection) -> None:
     cv2.setNumThreads(1)
     start_s = time.process_time()
     begin: Begin = read(requests)
-    builder = MapBuilder(begin.rig, begin.config, begin.known, ProcessAdjuster(begin.config.online_adjustment))
+    builder = MapBuilder(begin.rig, begin.config, begin.known, ProcessAdjuster(begin.config.adjustment))
     while True:
         request: Update | Question = read(requests)
         value = _result(builder, request)

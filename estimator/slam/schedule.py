@@ -72,8 +72,6 @@ class AdjustmentScheduleConfig(Settings):
     """Number of closed loops at which the map is adjusted for the first time."""
     growth: Annotated[float, Range(1.01, 100.0)] = 1.3
     """Ratio of the number of keyframes to that at the last adjustment at which the map is adjusted again."""
-    landmark_step: Annotated[int, Range(1, 1000)] = 2
-    """Number of landmarks of which one is used during the flight, to limit the processor time."""
     keyframes: Annotated[int, Range(1, 100_000)] = 10
     """Number of keyframes after which the adjustment of a small map takes effect."""
     keyframes_per_keyframe: Annotated[int, Range(1, 1000)] = 20
