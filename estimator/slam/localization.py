@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.frontend.patches import PatchAligner, PatchConfig
-from dronevio.estimator.slam.keyframe import MapKeyframe
+from dronevio.estimator.slam.keyframe import KeyframeFeatures, MapKeyframe
 from dronevio.estimator.slam.matching import Correspondences, described_landmarks
 from dronevio.estimator.slam.odometry_factors import RelativePose
 from dronevio.estimator.slam.relative_pose import RelativePoseConfig, Views, refine, whitened_errors
@@ -81,6 +81,16 @@ class KeyframeImages:
     """Images of the cameras."""
     rig: Rig
     """The calibration in use."""
+
+
+@dataclass(frozen=True, eq=False)
+class KeyframeView:
+    """What the cameras show at a keyframe."""
+
+    features: KeyframeFeatures
+    """The corners of its images."""
+    images: KeyframeImages | None = None
+    """Its images, by which it is localized and others are localized in it; None without images."""
 
 
 def tile_side_px(config: LocalizationConfig) -> int:

@@ -1,6 +1,7 @@
-"""The map as arrays, for files, reports and viewers."""
+"""The map as arrays and its size, for files, reports and viewers."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,6 +11,20 @@ from dronevio.models.slam_map import SlamMap
 
 FIRST_NS = -(2**62)
 """Time before all others, at which the first track begins [ns]."""
+
+
+@dataclass(frozen=True)
+class MapSummary:
+    """Size of a map."""
+
+    keyframes: int
+    """Number of keyframes."""
+    loops: int
+    """Number of loops that are closed."""
+    rejected_loops: int
+    """Number of loops that contradict the others, or wait for the next optimization."""
+    separate_tracks: int = 0
+    """Number of tracks of the odometry that are not joined with the map."""
 
 
 def slam_map(solution: OptimizedGraph, keyframes: Sequence[MapKeyframe], starts_ns: Sequence[int]) -> SlamMap:

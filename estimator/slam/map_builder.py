@@ -19,8 +19,8 @@ from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.features import PlaceFeatureExtractor
 from dronevio.estimator.slam.flight_measurements import FlightMeasurements, KeyframeMeasurements
-from dronevio.estimator.slam.localization import KeyframeImages
-from dronevio.estimator.slam.mapping import KeyframeView, Mapper
+from dronevio.estimator.slam.localization import KeyframeImages, KeyframeView
+from dronevio.estimator.slam.mapping import Mapper
 from dronevio.estimator.slam.recognizer import PlaceRecognizer
 from dronevio.estimator.slam.saved_map import KnownMap
 from dronevio.estimator.slam.schedule import AdjustmentSchedule

@@ -21,20 +21,21 @@ import numpy.typing as npt
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.covisibility import CovisibilityConfig, nearest_views
-from dronevio.estimator.slam.keyframe import KeyframeFeatures, MapKeyframe
+from dronevio.estimator.slam.keyframe import MapKeyframe
 from dronevio.estimator.slam.localization import (
     KeyframeImages,
+    KeyframeView,
     LandmarkPatches,
     LocalizationConfig,
     Localizer,
     landmark_patches,
     tile_side_px,
 )
-from dronevio.estimator.slam.map_arrays import slam_map
+from dronevio.estimator.slam.map_arrays import MapSummary, slam_map
 from dronevio.estimator.slam.odometry_factors import OdometryNode, RelativePose, first_node, propagated
 from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph, optimize
 from dronevio.estimator.slam.saved_map import LAST_KNOWN_NS, KnownMap
-from dronevio.estimator.slam.submap import Adjustment, Submap
+from dronevio.estimator.slam.submap import Adjustment, Submap, path_scale
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.models.errors import ConfigError
 from dronevio.models.ranges import Range, Settings
@@ -49,8 +50,6 @@ MAX_CONNECTED = 1000
 """Number of the newest loops whose keyframes are known to be connected with an earlier visit."""
 CONNECTED_WITHIN_S = 1.0
 """Time between a redundant keyframe and a loop that connects it with the earlier visit [s]."""
-SCALE_OVER_S, MIN_SCALED_M = 60.0, 5.0
-"""Time of flight over which the scale of the odometry is measured [s], and shortest path for it [m]."""
 MIN_MAP_KEYFRAMES = 5
 """Number of keyframes below which a map is given up when the odometry is lost: the next track begins another one."""
 
@@ -90,30 +89,6 @@ class MappingConfig(Settings):
     it is redundant."""
     redundant: CovisibilityConfig = field(default_factory=lambda: CovisibilityConfig(0.5, 15.0, 1))
     """Similarity of the view of an earlier keyframe from which on a keyframe is redundant."""
-
-
-@dataclass(frozen=True, eq=False)
-class KeyframeView:
-    """What the cameras show at a keyframe."""
-
-    features: KeyframeFeatures
-    """The corners of its images."""
-    images: KeyframeImages | None = None
-    """Its images, by which it is localized and others are localized in it; None without images."""
-
-
-@dataclass(frozen=True)
-class MapSummary:
-    """Size of a map."""
-
-    keyframes: int
-    """Number of keyframes."""
-    loops: int
-    """Number of loops that are closed."""
-    rejected_loops: int
-    """Number of loops that contradict the others, or wait for the next optimization."""
-    separate_tracks: int = 0
-    """Number of tracks of the odometry that are not joined with the map."""
 
 
 class Mapper:
@@ -215,7 +190,7 @@ class Mapper:
         home = self._submap_of(self._home)
         if home is not None and poses.keys() <= home.whole_graph.poses.keys():
             newest = self._keyframes[-1]
-            adjustment = Adjustment(max(poses), self._nodes[newest.number].first, self._scale(poses))
+            adjustment = Adjustment(max(poses), self._nodes[newest.number].first, path_scale(self._keyframes, poses))
             adjusted = home.adjusted(poses, adjustment, newest.t_ns)
             self._submaps = (*(each for each in self._submaps if each is not home), adjusted)
 
@@ -316,18 +291,6 @@ class Mapper:
         """Whether the newest track is part of the map."""
         home = self._submap_of(self._home)
         return self._track == self._home if home is None else self._track in home.tracks
-
-    def _scale(self, poses: Mapping[int, Array]) -> float:
-        """Return the ratio of the length of the newest path by adjusted poses (4, 4) to that by the odometry."""
-        newest = self._keyframes[-1]
-        recent = [
-            k
-            for k in self._keyframes
-            if k.number in poses and k.track == newest.track and newest.t_ns - k.t_ns < SCALE_OVER_S * 1e9
-        ]
-        p = np.array([(poses[k.number][:3, 3], k.T_odom_imu[:3, 3]) for k in recent]).reshape(-1, 2, 3)
-        adjusted_m, odometry_m = np.linalg.norm(np.diff(p, axis=0), axis=2).sum(axis=0)
-        return float(adjusted_m / odometry_m) if odometry_m > MIN_SCALED_M else 1.0
 
     def _submap_of(self, track: int) -> Submap | None:
         """Return the submap of a track; None before its first keyframe."""

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.best_path import UNKNOWN, covariances_of, covariances_with_loops, with_position
+from dronevio.estimator.slam.keyframe import MapKeyframe
 from dronevio.estimator.slam.odometry_factors import (
     OdometryNode,
     RelativePose,
@@ -36,6 +37,8 @@ Array = npt.NDArray[np.float64]
 
 MAX_PASSED_LOOPS = 4
 """Number of loops of a keyframe up to which those of culled keyframes after it are passed on to it."""
+SCALE_OVER_S, MIN_SCALED_M = 60.0, 5.0
+"""Time of flight over which the scale of the odometry is measured [s], and shortest path for it [m]."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,24 @@ class Adjustment:
     scale: float
     """Ratio of the lengths of the map to those of the odometry in that track. The scale of an odometry errs for minutes
     in the same direction, so it is also that of the keyframes to come."""
+
+
+def path_scale(keyframes: Sequence[MapKeyframe], poses: Mapping[int, Array]) -> float:
+    """Return the ratio of the length of the newest path by adjusted poses to that by the odometry.
+
+    Args:
+        keyframes: Keyframes in the order of time; those of the newest track count.
+        poses: Adjusted poses (4, 4) of some of them by their numbers.
+    """
+    newest = keyframes[-1]
+    recent = [
+        k
+        for k in keyframes
+        if k.number in poses and k.track == newest.track and newest.t_ns - k.t_ns < SCALE_OVER_S * 1e9
+    ]
+    p = np.array([(poses[k.number][:3, 3], k.T_odom_imu[:3, 3]) for k in recent]).reshape(-1, 2, 3)
+    adjusted_m, odometry_m = np.linalg.norm(np.diff(p, axis=0), axis=2).sum(axis=0)
+    return float(adjusted_m / odometry_m) if odometry_m > MIN_SCALED_M else 1.0
 
 
 @dataclass(frozen=True, eq=False)

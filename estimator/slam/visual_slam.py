@@ -23,6 +23,7 @@ from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.flight_measurements import FlightMeasurements, KeyframeMeasurements
 from dronevio.estimator.slam.g2o import write_g2o
+from dronevio.estimator.slam.map_arrays import MapSummary
 from dronevio.estimator.slam.map_builder import (
     ImagedKeyframe,
     LocalMap,
@@ -35,7 +36,7 @@ from dronevio.estimator.slam.map_builder import (
 )
 from dronevio.estimator.slam.map_file import read_map, write_map
 from dronevio.estimator.slam.map_process import MapProcess
-from dronevio.estimator.slam.mapping import Mapper, MapSummary
+from dronevio.estimator.slam.mapping import Mapper
 from dronevio.estimator.slam.pose_graph import OptimizedGraph
 from dronevio.estimator.slam.saved_arrays import MIN_KEYFRAMES
 from dronevio.estimator.slam.saved_map import SavedMap, saved_map

@@ -18,7 +18,8 @@ from dronevio.estimator.keyframe_observer import OdometryKeyframe
 from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs, AdjustmentKeyframe
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
-from dronevio.estimator.slam.mapping import KeyframeView, Mapper, Recognizer
+from dronevio.estimator.slam.localization import KeyframeView
+from dronevio.estimator.slam.mapping import Mapper, Recognizer
 from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph, factor_graph
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix

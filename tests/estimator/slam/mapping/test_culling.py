@@ -11,8 +11,9 @@ import pytest
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.keyframe import MapKeyframe
+from dronevio.estimator.slam.map_arrays import MapSummary
 from dronevio.estimator.slam.map_builder import LocalMap, MarginalizedKeyframe
-from dronevio.estimator.slam.mapping import Mapper, MappingConfig, MapSummary
+from dronevio.estimator.slam.mapping import Mapper, MappingConfig
 from dronevio.estimator.slam.odometry_factors import (
     MAX_DECREASE,
     OdometryNode,

@@ -8,7 +8,8 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES
-from dronevio.estimator.slam.mapping import KeyframeView, Mapper, MappingConfig
+from dronevio.estimator.slam.localization import KeyframeView
+from dronevio.estimator.slam.mapping import Mapper, MappingConfig
 from dronevio.estimator.slam.pose_graph import optimize
 from dronevio.models.rotation import adjoint, inverse_pose
 from tests.estimator.slam.mapping.conftest import NoRecognizer, TrueRecognizer, marginal_covariance

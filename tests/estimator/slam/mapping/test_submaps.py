@@ -11,10 +11,11 @@ import pytest
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
-from dronevio.estimator.slam.mapping import KeyframeView, Mapper
+from dronevio.estimator.slam.localization import KeyframeView
+from dronevio.estimator.slam.mapping import Mapper
 from dronevio.estimator.slam.odometry_factors import RelativePose, first_node, propagated
 from dronevio.estimator.slam.pose_graph import ADJUSTED_VARIANCE, PoseGraph, joined_graphs, optimize
-from dronevio.estimator.slam.submap import Adjustment, Submap
+from dronevio.estimator.slam.submap import Adjustment, Submap, path_scale
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.models.map_correction import MapCorrection
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix, rotation_z
@@ -346,3 +347,32 @@ def test_an_adjusted_map_has_no_new_priors_on_positions(odometry_flight: "Odomet
     node = first_node(SPLIT - 1, odometry_flight.marginalized[SPLIT - 1])
     node = replace(node, first=0)
     assert after.extended(node, SPLIT, known)[1].graph.positions == ()
+
+
+def straight_path(count: int, step_m: float, first_of_track: int = 0) -> list[MapKeyframe]:
+    """Return keyframes on a straight line, one a second; those from a number on are of another track."""
+    none, points = np.zeros(0, np.int64), np.zeros((0, 3))
+    poses = [pose_matrix(np.eye(3), np.array([step_m * number, 0.0, 0.0])) for number in range(count)]
+    return [
+        MapKeyframe(number, number * 10**9, T, NO_KEYFRAME_FEATURES, none, points, int(number >= first_of_track))
+        for number, T in enumerate(poses)
+    ]
+
+
+def stretched(keyframes: Sequence[MapKeyframe], scale: float) -> dict[int, Array]:
+    """Return poses (4, 4) whose positions are multiplied by a factor."""
+    return {k.number: pose_matrix(np.eye(3), (scale if k.number else 1.0) * k.T_odom_imu[:3, 3]) for k in keyframes}
+
+
+def test_path_scale_is_that_of_the_last_minute() -> None:
+    path = straight_path(100, 0.2)
+    poses = stretched(path[:40], 1.5) | stretched(path[40:], 1.02)
+    assert path_scale(path, poses) == pytest.approx(1.02, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("step_m", "first_of_track"), [pytest.param(0.05, 0, id="short path"), pytest.param(0.2, 90, id="another track")]
+)
+def test_path_scale_of_too_short_a_path_is_one(step_m: float, first_of_track: int) -> None:
+    path = straight_path(95, step_m, first_of_track)
+    assert path_scale(path, stretched(path, 1.02)) == 1.0

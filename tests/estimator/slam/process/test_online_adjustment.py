@@ -4,10 +4,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
-import pytest
 
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
-from dronevio.estimator.slam import mapping
 from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
@@ -15,7 +13,6 @@ from dronevio.estimator.slam.flight_measurements import KeyframeMeasurements
 from dronevio.estimator.slam.map_builder import (
     LocalMap,
     MapBuilder,
-    MapMessage,
     MarginalizedKeyframe,
     OdometryMap,
     TrackLost,
@@ -136,30 +133,6 @@ def test_a_lost_track_begins_no_adjustment() -> None:
     for message in second:
         builder.process(message)
     assert adjuster.started == []
-
-
-@pytest.mark.parametrize(("least_m", "expected"), [(0.1, 1.02), (100.0, 1.0)])
-def test_scale_is_that_of_the_newest_path(monkeypatch: pytest.MonkeyPatch, least_m: float, expected: float) -> None:
-    monkeypatch.setattr(mapping, "MIN_SCALED_M", least_m)
-    builder = MapBuilder(one_camera(), CONFIG, None, ShiftingAdjuster())
-    messages = laps(1)
-    for message in messages:
-        builder.process(message)
-    poses = {number: message.estimate.T_odom_imu.copy() for number, message in enumerate(messages)}
-    for T in poses.values():
-        T[:3, 3] *= 1.02
-    assert builder.mapper._scale(poses) == pytest.approx(expected, rel=1e-9)
-
-
-def test_scale_without_the_newest_track_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mapping, "MIN_SCALED_M", 0.1)
-    builder = MapBuilder(one_camera(), CONFIG, None, ShiftingAdjuster())
-    first, later = laps(1), measured(keyframe(one_camera(), 20, 1))
-    messages: list[MapMessage] = [*first, TrackLost(later.estimate.t_ns - 1), later]
-    for message in messages:
-        builder.process(message)
-    poses = {number: 2.0 * message.estimate.T_odom_imu for number, message in enumerate(first)}
-    assert builder.mapper._scale(poses) == 1.0
 
 
 def answers(map_: OdometryMap, messages: list[MarginalizedKeyframe]) -> list[bytes]:
