@@ -2,10 +2,13 @@
 
 Each kidnapping continues the images and the IMU of flight A, up to a random time, with those of B from a random revisit
 of A on: a later part of A, or a flight in the same world (``--world-seed``). The pose after the splice is not close to
-that before it. A row tells when the odometry began anew, when the map was joined, and the error of the first pose in
-the map frame then, with yaw and position aligned at the first pose of the flight. A joining is wrong if this error is
-beyond 5 cm + 2 % of the median depth or beyond 1°, each added to the error before the splice. Rows depend on the seed
-and on their number only, so that ``--first`` continues an interrupted run::
+that before it, and most frames of the five seconds after it are revisits of A, so that there is a place to recognize. A
+row tells when the odometry began anew, when the map was joined, and the error of the first pose in the map frame then,
+with yaw and position aligned at the first pose of the flight. A joining is wrong if this error is beyond 5 cm + 2 % of
+the median depth or beyond 1°, each added to the error before the splice. Where the pose in the map frame never
+disappears, the map is joined from the first frame on after which all errors are within these limits, and it is wrong if
+the estimator reports that it tracks while they are not. Rows depend on the seed and on their number only, so that
+``--first`` continues an interrupted run::
 
     .venv/bin/python scripts/kidnappings.py recordings/room-laps recordings/hall-laps --count 100 --cameras 2
 """
@@ -44,6 +47,8 @@ CLIMB_M = 0.3
 """Height above the start from which on the vehicle is in the air [m]."""
 MAX_SINCE_START_S, MAX_SINCE_SPLICE_S = 2.0, 5.0
 """Longest times to the joining since the odometry began anew and since the splice [s]."""
+KNOWN_SHARE = 0.75
+"""Smallest share of revisits among the frames within `MAX_SINCE_SPLICE_S` after the splice."""
 _FRAMES_APART = 5
 _GAP_NS, _GAP_M = 10**12, 1e3  # between two flights, so that all frames of the first are old enough
 
@@ -79,7 +84,7 @@ class Outcome:
     """What happened after a splice."""
 
     start_s: float | None
-    """Time from the splice to the new start of the odometry [s]; 0 if it went on, None if it noticed nothing."""
+    """Time from the splice to the new start of the odometry [s]; 0 if it went on, None if it did not begin again."""
     joined_s: float | None
     """Time from the splice to the first pose in the map frame after the odometry began anew [s]; None without one."""
     error_m: float | None
@@ -87,7 +92,7 @@ class Outcome:
     error_rad: float | None
     """Orientation error of that pose [rad]."""
     wrong: bool
-    """Whether that pose is beyond the limits, or the kidnapping was not noticed."""
+    """Whether that pose is beyond the limits, or the estimator tracked in a wrong place."""
 
     @property
     def in_time(self) -> bool:
@@ -113,7 +118,9 @@ def possible_splices(first: Views, second: Views | None, rng: np.random.Generato
     ends = np.flatnonzero(flying[: len(first)] & (_airborne_s(first, flying[: len(first)]) >= BEFORE_S))
     for end in rng.permutation(ends):
         known = (revisits.then <= end) & (revisits.now > end) & (revisits.now >= begin) & flying[revisits.now]
+        is_known = np.isin(np.arange(len(both)), revisits.now[known])
         starts = np.unique(revisits.now[known & (last_s[revisits.now] >= AFTER_S)])
+        starts = starts[[_known_share(both.t_ns, is_known, start) >= KNOWN_SHARE for start in starts.tolist()]]
         starts = starts[~_are_close(both.Ts_world_cam[end], both.Ts_world_cam[starts])]
         if len(starts):
             start = int(rng.choice(starts))
@@ -137,8 +144,25 @@ def outcome_of(estimates: Sequence[Estimate], Ts_world_imu: Array, splice_ns: in
     after, since_s = t_ns >= splice_ns, (t_ns - splice_ns) * 1e-9
     lost = np.flatnonzero(after & np.array([e.health is Health.LOST for e in estimates]))
     apart = np.flatnonzero(after & ~mapped)
+    first, before = np.flatnonzero(mapped)[0], np.flatnonzero(mapped & ~after)[-1]
+    T_world_map = _yaw_alignment(Ts_world_imu[first], _map_pose(estimates[first]))
+
+    def errors_at(row: int) -> tuple[float, float]:
+        return _errors(Ts_world_imu[row], T_world_map @ _map_pose(estimates[row]))
+
+    limit, errors_before = LoopTolerance(), errors_at(before)
+
+    def is_wrong(row: int, errors: tuple[float, float]) -> bool:
+        limit_m = limit.distance_m + limit.depth_share * float(median_depth_m[row]) + errors_before[0]
+        return errors[0] > limit_m or errors[1] > limit.angle_rad + errors_before[1]
+
     if not len(apart):
-        return Outcome(None, None, None, None, wrong=True)
+        bad = [row for row in np.flatnonzero(after).tolist() if is_wrong(row, errors_at(row))]
+        until = bad[-1] + 1 if bad else int(np.argmax(after))
+        if until == len(t_ns):
+            return Outcome(None, None, None, None, wrong=True)
+        wrong = any(estimates[row].health is Health.TRACKING for row in bad)
+        return Outcome(0.0, float(since_s[until]), *errors_at(until), wrong)
     joined = np.flatnonzero(mapped & (np.arange(len(t_ns)) > apart[0]))
     until = joined[0] if len(joined) else len(t_ns)
     lost = lost[lost < until]
@@ -146,13 +170,8 @@ def outcome_of(estimates: Sequence[Estimate], Ts_world_imu: Array, splice_ns: in
     start_s = (float(since_s[begun[0]]) if len(lost) else 0.0) if len(begun) else None
     if not len(joined):
         return Outcome(start_s, None, None, None, wrong=False)
-    first, before = np.flatnonzero(mapped)[0], np.flatnonzero(mapped & ~after)[-1]
-    T_world_map = _yaw_alignment(Ts_world_imu[first], _map_pose(estimates[first]))
-    errors = [_errors(Ts_world_imu[row], T_world_map @ _map_pose(estimates[row])) for row in (before, until)]
-    limit = LoopTolerance()
-    limit_m = limit.distance_m + limit.depth_share * float(median_depth_m[until]) + errors[0][0]
-    wrong = errors[1][0] > limit_m or errors[1][1] > limit.angle_rad + errors[0][1]
-    return Outcome(start_s, float(since_s[until]), *errors[1], wrong)
+    errors = errors_at(until)
+    return Outcome(start_s, float(since_s[until]), *errors, is_wrong(until, errors))
 
 
 def kidnap(first: Path, second: Path, splice: Splice, cameras: int, views: Views) -> Outcome:
@@ -200,6 +219,12 @@ def _concatenated(first: Views, second: Views) -> Views:
         first.camera,
         np.concatenate([first.ranges_m, second.ranges_m]),
     )
+
+
+def _known_share(t_ns: npt.NDArray[np.int64], is_known: npt.NDArray[np.bool_], start: int) -> float:
+    """Return the share of known frames among those within `MAX_SINCE_SPLICE_S` from a frame on."""
+    since_s = (t_ns - t_ns[start]) * 1e-9
+    return float(is_known[(since_s >= 0.0) & (since_s <= MAX_SINCE_SPLICE_S)].mean())
 
 
 def _airborne_s(views: Views, flying: npt.NDArray[np.bool_]) -> Array:

@@ -45,7 +45,10 @@ from dronevio.models.slam_map import SlamMap
 Array = npt.NDArray[np.float64]
 
 LOCATED_AGREE_M, LOCATED_AGREE_DEG = 0.03, 0.5
-"""Largest difference of the poses by two keyframes by which a new track is located."""
+"""Largest difference of the poses by two keyframes by which a new track is located or joined. By an odometry with a
+wrong velocity, as shortly after its start, they differ by more."""
+MAX_BETWEEN = 20
+"""Number of the newest loops of a track with another submap by which the two may be joined."""
 MAX_CONNECTED = 1000
 """Number of the newest loops whose keyframes are known to be connected with an earlier visit."""
 CONNECTED_WITHIN_S = 1.0
@@ -113,6 +116,9 @@ class Mapper:
         self._connected_ns: tuple[int, ...] = ()  # times of the later keyframes of the newest of these loops
         self._home = 0  # track whose submap is the map
         self._starts_ns: list[int] = []  # times at which the tracks after the first one begin
+        self._between: tuple[
+            RelativePose, ...
+        ] = ()  # loops of the newest track with submaps that it is not joined with
         self._candidate: Array | None = None  # T_map_odom by the place of one keyframe
         self._located: Correction | None = None  # by two keyframes that agree, before the track is joined
 
@@ -206,7 +212,7 @@ class Mapper:
         """
         self._starts_ns.append(t_ns)
         self._recognizer.start_track()
-        self._candidate, self._located, self._localized_ns = None, None, None
+        self._candidate, self._located, self._localized_ns, self._between = None, None, None, ()
         self._recent.clear()
         home = self._submap_of(self._home)
         if home is None or len(home.graph.poses) < MIN_MAP_KEYFRAMES:
@@ -352,11 +358,16 @@ class Mapper:
     def _joined(self, submap: Submap, loops: Sequence[RelativePose], t_ns: int) -> Submap:
         """Return a submap, joined with the others that its loops lead to.
 
-        The map stays where it is; of two other submaps, the earlier one does.
+        Two keyframes have to lead to the same pose, see `LOCATED_AGREE_M`. The map stays where it is; of two other
+        submaps, the earlier one does.
         """
+        self._between = (*self._between, *loops)[-MAX_BETWEEN:] if loops else self._between
         for other in self._submaps:
-            between = [loop for loop in loops if loop.first in other.graph.poses]
-            if between and not other.tracks & submap.tracks:
+            found = [loop for loop in loops if loop.first in other.graph.poses]
+            if not found or other.tracks & submap.tracks:
+                continue
+            between = _agreeing(self._between, other, submap)
+            if len({loop.second for loop in between}) > 1:
                 submap = submap.joined(other, between, t_ns, other_stays=self._home not in submap.tracks) or submap
         return submap
 
@@ -386,6 +397,15 @@ class Mapper:
         if found:
             self._localized_ns = keyframe.t_ns
         return found
+
+
+def _agreeing(loops: Sequence[RelativePose], other: Submap, submap: Submap) -> list[RelativePose]:
+    """Return the loops between two submaps that lead to the same pose as the last of them."""
+    old, new = other.graph.poses, submap.graph.poses
+    between = [loop for loop in loops if loop.first in old and loop.second in new]
+    T_last = new[between[-1].second]  # the pose that is compared
+    by_loop = [old[loop.first] @ loop.T_first_second @ inverse_pose(new[loop.second]) @ T_last for loop in between]
+    return [loop for loop, T in zip(between, by_loop, strict=True) if _agree(T, by_loop[-1])]
 
 
 def _agree(T: Array, other: Array) -> bool:
