@@ -178,6 +178,22 @@ SLAM = (
         ("tests/estimator/slam/mapping/test_bundle_adjustment.py::test_common_error_of_stereo_matches_is_estimated",),
     ),
     Mutant(
+        "localization-uncertain",
+        "Localization: poses of any uncertainty are loops.",
+        "estimator/slam/localization.py",
+        "if not fit.is_certain(c.max_sigma_m, np.radians(c.max_sigma_deg)):",
+        "if False:",
+        ("tests/estimator/slam/mapping/test_localization.py::test_an_uncertain_pose_is_refused",),
+    ),
+    Mutant(
+        "join-by-one-keyframe",
+        "Mapper: one keyframe joins a track with the map.",
+        "estimator/slam/mapping.py",
+        "if len({loop.second for loop in between}) > 1:",
+        "if between:",
+        ("tests/estimator/slam/mapping/test_submaps.py::test_a_track_with_a_wrong_velocity_is_not_joined",),
+    ),
+    Mutant(
         "adjustment-observations-twice",
         "Bundle adjustment: an observation counts as often as there are loops with it.",
         "estimator/slam/bundle_adjustment.py",

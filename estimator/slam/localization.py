@@ -55,6 +55,10 @@ class LocalizationConfig(Settings):
     """Smallest number of landmarks that agree with the pose."""
     min_inlier_ratio: Annotated[float, Range(0.0, 1.0)] = 0.5
     """Smallest share of the aligned patches that agree with the pose."""
+    max_sigma_m: Annotated[float, Range(1e-4, 10.0)] = 0.05
+    """Largest standard deviation of the position, in any direction [m]."""
+    max_sigma_deg: Annotated[float, Range(0.001, 90.0)] = 0.33
+    """Largest standard deviation of the rotation, about any axis [°]. Few landmarks close together may leave more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,6 +169,8 @@ class Localizer:
         error, _ = whitened_errors(fit.T_match_query, old, new, views, c.pose)
         agrees = error < c.max_error_sigmas
         if agrees.sum() < c.min_inliers or agrees.mean() < c.min_inlier_ratio:
+            return None
+        if not fit.is_certain(c.max_sigma_m, np.radians(c.max_sigma_deg)):
             return None
         observations = old[agrees].observed_by(query.number, c.pose.pixel_sigma)
         return RelativePose.measured(match.number, query.number, fit.T_match_query, fit.covariance, observations)

@@ -78,6 +78,11 @@ class PoseFit:
     tilt_sigmas: float
     """Deviation from the directions of gravity, in standard deviations."""
 
+    def is_certain(self, max_sigma_m: float, max_sigma_rad: float) -> bool:
+        """Return whether no standard deviation of position [m] and rotation [rad] exceeds a limit, in any direction."""
+        rotation, position = (float(np.linalg.eigvalsh(self.covariance[i : i + 3, i : i + 3])[-1]) for i in (0, 3))
+        return rotation <= max_sigma_rad**2 and position <= max_sigma_m**2
+
 
 @dataclass(frozen=True, eq=False)
 class _Linearized:

@@ -144,7 +144,7 @@ def verify(query: MapKeyframe, match: MapKeyframe, rig: Rig, config: Verificatio
         return Rejection("distance")
     tolerance_m = c.max_position_m + c.max_position_ratio * depth_m
     tolerance_rad = np.radians(c.max_rotation_deg)
-    if not _is_certain(pose.covariance, tolerance_m, tolerance_rad):
+    if not pose.is_certain(tolerance_m / 3.0, tolerance_rad / 3.0):
         return Rejection("covariance")
     if not _directions_agree(pose, old[is_old], new[is_new], views, tolerance_m, tolerance_rad, c):
         return Rejection("directions")
@@ -229,13 +229,6 @@ def _level(matches: Correspondences, views: Views, R_points: Array, R_observer: 
 def _spread(xy: Array) -> float:
     """Return the standard deviation of points (N, 2) along the axis in which they are spread least."""
     return float(np.sqrt(max(np.linalg.eigvalsh(np.cov(xy.T))[0], 0.0)))
-
-
-def _is_certain(covariance: Array, tolerance_m: float, tolerance_rad: float) -> bool:
-    """Return whether no standard deviation of a pose exceeds a third of the tolerance."""
-    rotation = float(np.linalg.eigvalsh(covariance[:3, :3])[-1])
-    position = float(np.linalg.eigvalsh(covariance[3:, 3:])[-1])
-    return rotation <= (tolerance_rad / 3.0) ** 2 and position <= (tolerance_m / 3.0) ** 2
 
 
 def _directions_agree(

@@ -1,7 +1,7 @@
 """Localization in an earlier keyframe on rendered images of a wall."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -10,10 +10,12 @@ import pytest
 from dronevio.estimator.slam.keyframe import KeyframeFeatures, MapKeyframe
 from dronevio.estimator.slam.localization import (
     KeyframeImages,
+    LandmarkPatches,
     LocalizationConfig,
     Localizer,
     landmark_patches,
 )
+from dronevio.estimator.slam.odometry_factors import RelativePose
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix
@@ -105,6 +107,25 @@ def test_another_place_is_not_found(views: Views) -> None:
 def test_wrong_prediction_is_refused(views: Views) -> None:
     far = MOTION @ pose_matrix(np.eye(3), np.array([0.3, 0.3, 0.0]))
     assert Localizer().localize(views.second, views.images[1], views.first, views.patches, far) is None
+
+
+def test_an_uncertain_pose_is_refused(views: Views) -> None:
+    """Landmarks close together give it with larger standard deviations than all of them."""
+
+    def localized(patches: LandmarkPatches, config: LocalizationConfig) -> RelativePose | None:
+        return Localizer(config).localize(views.second, views.images[1], views.first, patches, MOTION)
+
+    near = np.argsort(np.linalg.norm(views.patches.pixels - np.array([500.0, 250.0]), axis=1))[:16]
+    close = replace(views.patches, **{f.name: getattr(views.patches, f.name)[near] for f in fields(views.patches)})
+    found = localized(close, LocalizationConfig())
+    assert found is not None
+    sigmas = [float(np.sqrt(np.linalg.eigvalsh(found.covariance[i : i + 3, i : i + 3])[-1])) for i in (0, 3)]
+    limits = (
+        LocalizationConfig(max_sigma_deg=float(np.degrees(0.99 * sigmas[0]))),
+        LocalizationConfig(max_sigma_m=0.99 * sigmas[1]),
+    )
+    for config in limits:
+        assert localized(close, config) is None and localized(views.patches, config) is not None
 
 
 def test_landmarks_near_the_border_have_no_patch(views: Views) -> None:
