@@ -10,8 +10,10 @@ from dronevio.estimator.types import Observations
 @pytest.mark.parametrize(
     ("before", "now", "tracked", "expected"),
     [
-        (range(100), range(92, 200), 90, True),  # 8 features in common
-        (range(100), range(93, 200), 90, False),  # 7 features in common
+        (range(20), range(12, 120), 90, True),  # 8 features in common
+        (range(20), range(13, 120), 90, False),  # 7 features in common
+        (range(100), range(85, 200), 90, True),  # 15 % of the features in common
+        (range(100), range(86, 200), 90, False),  # 14 % of them, which may be tracked by mistake
         (range(100), range(100, 200), 0, True),  # after darkness
         (range(100), range(100, 105), 90, True),  # hardly anything is visible
         (range(0), range(100, 200), 90, True),  # the first keyframe
