@@ -11,8 +11,8 @@ from dronevio.estimator.types import Integers, Observations, common_rows
 MIN_FEATURES = 8
 """Smallest number of common features that connect two keyframes; fewer may be tracked by mistake."""
 MIN_SHARE = 0.15
-"""Smallest share of them among the features of that keyframe which has fewer. Of images of two places, up to a tenth is
-tracked by mistake; successive keyframes of agile flights have 0.4 and more in common."""
+"""Smallest share of them among the features of the keyframe that has fewer. Of images of two places, a twentieth was
+tracked by mistake; successive keyframes of eight flights have 0.39 or more in common (`docs/tuning.md`)."""
 
 
 class ImageConnection:

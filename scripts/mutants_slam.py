@@ -186,6 +186,14 @@ SLAM = (
         ("tests/estimator/slam/mapping/test_localization.py::test_an_uncertain_pose_is_refused",),
     ),
     Mutant(
+        "connected-by-few-features",
+        "Image connection: eight features connect two keyframes, however many there are.",
+        "estimator/image_connection.py",
+        "max(MIN_FEATURES, MIN_SHARE * fewer)",
+        "MIN_FEATURES",
+        ("tests/estimator/test_image_connection.py::test_keyframes_without_common_features_are_not_connected",),
+    ),
+    Mutant(
         "join-by-one-keyframe",
         "Mapper: one keyframe joins a track with the map.",
         "estimator/slam/mapping.py",

@@ -123,12 +123,11 @@ class ImuBuffer:
         if self._samples is None or len(self._samples) == 0:
             return NO_INCREMENTS
         # Later samples than the first after t make no difference, and there may be those of a whole flight.
-        until = int(np.searchsorted(self._samples.t_ns, t_ns, side="right")) + 1
-        taken = self._increments(self._samples[:until], t_ns, held=True)
+        after = int(np.searchsorted(self._samples.t_ns, t_ns, side="right"))
+        taken = self._increments(self._samples[: after + 1], t_ns, held=True)
         self._start_ns = t_ns
         # The sample at or before t stays: the midpoint rule averages a sample with its predecessor.
-        first = int(np.searchsorted(self._samples.t_ns, t_ns, side="right")) - 1
-        self._samples = self._samples[max(first, 0) :]
+        self._samples = self._samples[max(after - 1, 0) :]
         return taken
 
     def ahead(self, span_s: float) -> Increments:

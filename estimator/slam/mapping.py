@@ -35,18 +35,15 @@ from dronevio.estimator.slam.map_arrays import MapSummary, slam_map
 from dronevio.estimator.slam.odometry_factors import OdometryNode, RelativePose, first_node, propagated
 from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph, optimize
 from dronevio.estimator.slam.saved_map import LAST_KNOWN_NS, KnownMap
-from dronevio.estimator.slam.submap import Adjustment, Submap, path_scale
+from dronevio.estimator.slam.submap import Adjustment, Submap, agreeing_loops, path_scale, poses_agree
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.models.errors import ConfigError
 from dronevio.models.ranges import Range, Settings
-from dronevio.models.rotation import inverse_pose, log_so3
+from dronevio.models.rotation import inverse_pose
 from dronevio.models.slam_map import SlamMap
 
 Array = npt.NDArray[np.float64]
 
-LOCATED_AGREE_M, LOCATED_AGREE_DEG = 0.03, 0.5
-"""Largest difference of the poses by two keyframes by which a new track is located or joined. By an odometry with a
-wrong velocity, as shortly after its start, they differ by more."""
 MAX_BETWEEN = 20
 """Number of the newest loops of a track with another submap by which the two may be joined."""
 MAX_CONNECTED = 1000
@@ -244,7 +241,7 @@ class Mapper:
         T_map_imu = home.graph.poses[match.match] @ place.T_first_second
         T_map_odom, candidate = T_map_imu @ inverse_pose(estimate.T_odom_imu), self._candidate
         self._candidate = T_map_odom
-        if candidate is None or not _agree(candidate @ estimate.T_odom_imu, T_map_imu):
+        if candidate is None or not poses_agree(candidate @ estimate.T_odom_imu, T_map_imu):
             return None
         covariance = propagated(home.covariances[match.match], place, None)
         self._located = Correction(T_map_odom, estimate, covariance, self._track)
@@ -358,7 +355,7 @@ class Mapper:
     def _joined(self, submap: Submap, loops: Sequence[RelativePose], t_ns: int) -> Submap:
         """Return a submap, joined with the others that its loops lead to.
 
-        Two keyframes have to lead to the same pose, see `LOCATED_AGREE_M`. The map stays where it is; of two other
+        Two keyframes have to lead to the same pose, see `agreeing_loops`. The map stays where it is; of two other
         submaps, the earlier one does.
         """
         self._between = (*self._between, *loops)[-MAX_BETWEEN:] if loops else self._between
@@ -366,7 +363,7 @@ class Mapper:
             found = [loop for loop in loops if loop.first in other.graph.poses]
             if not found or other.tracks & submap.tracks:
                 continue
-            between = _agreeing(self._between, other, submap)
+            between = agreeing_loops(self._between, other, submap)
             if len({loop.second for loop in between}) > 1:
                 submap = submap.joined(other, between, t_ns, other_stays=self._home not in submap.tracks) or submap
         return submap
@@ -397,22 +394,6 @@ class Mapper:
         if found:
             self._localized_ns = keyframe.t_ns
         return found
-
-
-def _agreeing(loops: Sequence[RelativePose], other: Submap, submap: Submap) -> list[RelativePose]:
-    """Return the loops between two submaps that lead to the same pose as the last of them."""
-    old, new = other.graph.poses, submap.graph.poses
-    between = [loop for loop in loops if loop.first in old and loop.second in new]
-    T_last = new[between[-1].second]  # the pose that is compared
-    by_loop = [old[loop.first] @ loop.T_first_second @ inverse_pose(new[loop.second]) @ T_last for loop in between]
-    return [loop for loop, T in zip(between, by_loop, strict=True) if _agree(T, by_loop[-1])]
-
-
-def _agree(T: Array, other: Array) -> bool:
-    """Return whether two poses by two keyframes are as close as those of an odometry with the right velocity are."""
-    T_between = inverse_pose(T) @ other
-    angle_deg = np.degrees(np.linalg.norm(log_so3(T_between[:3, :3])))
-    return bool(np.linalg.norm(T_between[:3, 3]) <= LOCATED_AGREE_M and angle_deg <= LOCATED_AGREE_DEG)
 
 
 def _loop(match: PlaceMatch) -> RelativePose:

@@ -31,12 +31,15 @@ from dronevio.estimator.slam.pose_graph import (
     optimize,
     remeasured,
 )
-from dronevio.models.rotation import inverse_pose
+from dronevio.models.rotation import inverse_pose, log_so3
 
 Array = npt.NDArray[np.float64]
 
 MAX_PASSED_LOOPS = 4
 """Number of loops of a keyframe up to which those of culled keyframes after it are passed on to it."""
+AGREE_M, AGREE_DEG = 0.03, 0.5
+"""Largest difference of the poses by two keyframes by which a new track is located or joined. By an odometry with a
+wrong velocity, as shortly after its start, they differ by more."""
 SCALE_OVER_S, MIN_SCALED_M = 60.0, 5.0
 """Time of flight over which the scale of the odometry is measured [s], and shortest path for it [m]."""
 
@@ -257,3 +260,27 @@ class Submap:
     def _scale_of(self, first: int) -> float:
         """Return the scale of the odometry in the track that begins with a keyframe, 1 if it is not known."""
         return self.adjustment.scale if self.adjustment is not None and self.adjustment.first == first else 1.0
+
+
+def agreeing_loops(loops: Sequence[RelativePose], other: Submap, submap: Submap) -> list[RelativePose]:
+    """Return the loops between two submaps that lead to the same pose as the last of them.
+
+    Args:
+        loops: Loops in the order of time; those between other submaps are left out.
+        other: The submap of their first keyframes.
+        submap: The submap of their second keyframes.
+    """
+    old, new = other.graph.poses, submap.graph.poses
+    between = [loop for loop in loops if loop.first in old and loop.second in new]
+    if not between:
+        return []
+    T_last = new[between[-1].second]  # the pose that is compared
+    by_loop = [old[loop.first] @ loop.T_first_second @ inverse_pose(new[loop.second]) @ T_last for loop in between]
+    return [loop for loop, T in zip(between, by_loop, strict=True) if poses_agree(T, by_loop[-1])]
+
+
+def poses_agree(T: Array, other: Array) -> bool:
+    """Return whether two poses (4, 4), each by a keyframe, are as close as by an odometry with the right velocity."""
+    T_between = inverse_pose(T) @ other
+    angle_deg = np.degrees(np.linalg.norm(log_so3(T_between[:3, :3])))
+    return bool(np.linalg.norm(T_between[:3, 3]) <= AGREE_M and angle_deg <= AGREE_DEG)
