@@ -117,7 +117,10 @@ class VisualInertialOdometry:
         self._observer = observer
         self._connection = ImageConnection()
         self._newest_ns = 0  # time of the newest frame by the clock of the IMU
-        self._gauge: Gauge = WorldOrigin(c.initialization.gyro_bias_sigma_rad_s)
+        self._origin = WorldOrigin(
+            c.initialization.gyro_bias_sigma_rad_s, c.initialization.dynamic.accel_bias_sigma_m_s2
+        )
+        self._gauge: Gauge = self._origin
         self._state: Initializing | Tracking = self._initializing()
         self._origin_m = np.zeros(3)  # position at the last initialization
 
@@ -370,9 +373,12 @@ class VisualInertialOdometry:
         return replace(state, covariance=state.covariance + added)
 
     def _initializing(self, is_trusted: bool = True) -> Initializing:
-        """Return the state before an initialization, of which the health is trusted from the beginning or not."""
-        c = self._config
-        initializer = Initializer(c.initialization, c.smoother, c.landmarks, self._keyframe_policy, self._gauge)
+        """Return the state before an initialization, of which the health is trusted from the beginning or not.
+
+        The biases of an inconsistent estimate are not used.
+        """
+        c, known = self._config, self._gauge if is_trusted else self._origin
+        initializer = Initializer(c.initialization, c.smoother, c.landmarks, self._keyframe_policy, known)
         return Initializing(initializer, is_trusted)
 
     def _tracking(self, smoother: KeyframeSmoother, monitor: HealthMonitor, observations: Observations) -> Tracking:
@@ -391,5 +397,6 @@ class VisualInertialOdometry:
     def _gyro_bias(self) -> tuple[Array, float]:
         """The estimated gyroscope bias (3,) and its standard deviation [rad/s]."""
         if isinstance(self._state, Initializing):
-            return self._state.initializer.gyro_bias
+            known = self._state.initializer.gyro_bias
+            return known.mean, known.sigma
         return self._state.smoother.state.gyro_bias_rad_s, 0.0

@@ -343,7 +343,7 @@ ESTIMATOR = (
         "start-epipolar-without-prior",
         "Initialization in motion: the prior attracts the gyroscope bias to zero instead of its mean.",
         "estimator/initialization/gyro_bias.py",
-        "information @ (bias - prior.mean_rad_s)",
+        "information @ (bias - prior.mean)",
         "information @ bias",
         ("tests/estimator/initialization/test_robust_start.py",),
     ),

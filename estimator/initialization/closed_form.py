@@ -1,9 +1,13 @@
-"""Velocity, gravity and accelerometer bias in closed form, for a known gyroscope bias.
+"""Velocity and gravity in closed form, for known biases.
 
-With the rotation known, each observation of a landmark is linear in the landmark's position, the initial velocity,
-gravity and the accelerometer bias (Dong-Si and Mourikis, "Estimator initialization in vision-aided inertial navigation
-with unknown camera-IMU calibration", IROS 2012). The landmarks are eliminated one by one, and the magnitude of gravity
-is a constraint. Outliers lose their weight by iterative reweighting.
+With the rotation known, each observation of a landmark is linear in the landmark's position, the initial velocity and
+gravity (Dong-Si and Mourikis, "Estimator initialization in vision-aided inertial navigation with unknown camera-IMU
+calibration", IROS 2012). The landmarks are eliminated one by one, and the magnitude of gravity is a constraint.
+Outliers lose their weight by iterative reweighting.
+
+The bias of the accelerometer is linear, too, but it stays at its expected value here: as long as the depths are not
+known, the equations are distances, which a bias of some m/s² makes small by moving the cameras and all landmarks to one
+point. The refinement estimates it.
 """
 
 from dataclasses import dataclass
@@ -13,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
 
+from dronevio.estimator.initialization.gauge import BiasPrior
 from dronevio.estimator.initialization.robust import INLIER_WEIGHT, robust_weights
 from dronevio.estimator.initialization.views import Motion, WindowMeasurements
 
@@ -22,7 +27,6 @@ MIN_DEPTH_M = 0.1
 """Smallest mean depth of a landmark that counts as in front of the cameras [m]."""
 ITERATIONS = 12
 """Number of solutions, each with the depths and the weights of the one before."""
-_FREE, _GRAVITY = [0, 1, 2, 6, 7, 8], [3, 4, 5]  # rows of the unknowns
 
 
 @dataclass(frozen=True)
@@ -33,8 +37,8 @@ class NoiseModel:
     """Standard deviation of an observation in normalized image coordinates."""
     outlier_sigmas: float
     """Root mean square residual at which a landmark has a quarter of its weight, in standard deviations."""
-    accel_bias_sigma_m_s2: float
-    """Standard deviation of the accelerometer bias [m/s²]."""
+    accel_bias: BiasPrior
+    """What is known of the accelerometer bias [m/s²]."""
     gravity_m_s2: float
     """Magnitude of gravity [m/s²]."""
 
@@ -142,16 +146,14 @@ def mean_depth_m(measured: WindowMeasurements, in_cameras: Array) -> Array:
 
 
 def _minimum(H: Array, noise: NoiseModel) -> Array:
-    """Return the unknowns y (10,) that minimize yᵀ H y and the prior, with gravity of its magnitude."""
-    P, h = H[:9, :9].copy(), H[:9, 9]
-    P[6:, 6:] += np.eye(3) / noise.accel_bias_sigma_m_s2**2
-    P_ff, P_fg = P[np.ix_(_FREE, _FREE)], P[np.ix_(_FREE, _GRAVITY)]
-    eliminated = np.linalg.solve(P_ff, np.column_stack([P_fg, h[_FREE]]))
-    D = P[np.ix_(_GRAVITY, _GRAVITY)] - P_fg.T @ eliminated[:, :3]
-    y = np.full(10, -1.0)
-    y[_GRAVITY] = on_sphere(D, h[_GRAVITY] - P_fg.T @ eliminated[:, 3], noise.gravity_m_s2)
-    y[_FREE] = eliminated[:, 3] - eliminated[:, :3] @ y[_GRAVITY]
-    return y
+    """Return y (10,) with the velocity and the gravity, of its magnitude, that minimize yᵀ H y."""
+    bias = noise.accel_bias.mean
+    h = H[:6, 9] - H[:6, 6:9] @ bias
+    eliminated = np.linalg.solve(H[:3, :3], np.column_stack([H[:3, 3:6], h[:3]]))
+    D, d = H[3:6, 3:6] - H[3:6, :3] @ eliminated[:, :3], h[3:] - H[3:6, :3] @ eliminated[:, 3]
+    gravity = on_sphere(D, d, noise.gravity_m_s2)
+    velocity = eliminated[:, 3] - eliminated[:, :3] @ gravity
+    return np.concatenate([velocity, gravity, bias, [-1.0]])
 
 
 def on_sphere(D: Array, d: Array, radius: float) -> Array:

@@ -1,8 +1,8 @@
 """Dynamic initialization: gyroscope bias, velocity, gravity and landmarks from a second of tracks and IMU measurements.
 
-The gyroscope bias comes first, from epipolar geometry, which needs neither scale nor velocity (`gyro_bias`). Velocity,
-gravity and accelerometer bias follow in closed form (`closed_form`), and Gauss-Newton steps refine all of them
-(`refinement`). Outliers have nearly no weight in any of the three (`robust`). The result is accepted by its
+The gyroscope bias comes first, from epipolar geometry, which needs neither scale nor velocity (`gyro_bias`). Velocity
+and gravity follow in closed form (`closed_form`), and Gauss-Newton steps refine all of them, with the accelerometer
+bias (`refinement`). Outliers have nearly no weight in any of the three (`robust`). The result is accepted by its
 covariance and by the share of the landmarks that agree with it.
 
 A landmark that several cameras observe at the same time has a depth from the first frame on. The equations are the
@@ -18,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.initialization.closed_form import MIN_DEPTH_M, NoiseModel, solve_closed_form
-from dronevio.estimator.initialization.gyro_bias import EpipolarSolution, GyroBias, epipolar_gyro_bias
+from dronevio.estimator.initialization.gauge import BiasPrior
+from dronevio.estimator.initialization.gyro_bias import EpipolarSolution, epipolar_gyro_bias
 from dronevio.estimator.initialization.not_observable import (
     ACCEL_DISAGREES,
     MOTION_DISAGREES,
@@ -59,7 +60,7 @@ class DynamicInitializationConfig(Settings):
     outlier_sigmas: Annotated[float, Range(0.1, 1e3)] = 2.0
     """Root mean square residual of a track from which it is an outlier, in standard deviations."""
     accel_bias_sigma_m_s2: Annotated[float, Range(1e-6, 100.0)] = 0.1
-    """Standard deviation of the accelerometer bias [m/s²]."""
+    """Standard deviation of the accelerometer bias before it is estimated [m/s²]."""
     min_parallax_sigmas: Annotated[float, Range(low=0.0)] = 30.0
     """Smallest median displacement of the features over the window, compensated for rotation, in standard deviations
     of an image observation."""
@@ -86,6 +87,8 @@ class DynamicInitializationConfig(Settings):
     """Standard deviation of the velocity that suffices at any speed [m/s]."""
     max_gyro_bias_rad_s: Annotated[float, Range(above=0.0)] = 0.2
     """Largest plausible gyroscope bias [rad/s]."""
+    max_accel_bias_m_s2: Annotated[float, Range(above=0.0)] = 0.6
+    """Largest plausible accelerometer bias [m/s²]."""
     min_excitation: Annotated[float, Range(low=0.0)] = 3.0
     """Smallest ratio between the deviation of the path from constant velocity and that which the accelerometer bias
     causes. At constant velocity the scale of a single camera is not observable."""
@@ -111,7 +114,8 @@ def initialize_dynamic(
     Ts_imu_cam: Array,
     focal_px: float,
     config: DynamicInitializationConfig,
-    gyro_bias: GyroBias,
+    gyro_bias: BiasPrior,
+    accel_bias: BiasPrior,
     gravity_m_s2: float = GRAVITY_M_S2,
 ) -> DynamicStart | NotObservable:
     """Return the state at the first frame of a window, or the reason why it is not observable.
@@ -121,7 +125,8 @@ def initialize_dynamic(
         Ts_imu_cam: (C, 4, 4) Poses of the rig's cameras in the IMU frame.
         focal_px: Focal length [px].
         config: Settings.
-        gyro_bias: What is known of the gyroscope bias.
+        gyro_bias: What is known of the gyroscope bias [rad/s].
+        accel_bias: What is known of the accelerometer bias [m/s²].
         gravity_m_s2: Magnitude of gravity [m/s²].
     """
     c, stereo = config, is_stereo(window, config)
@@ -137,7 +142,7 @@ def initialize_dynamic(
     needed_px = c.min_parallax_sigmas * c.pixel_sigma
     if not stereo and parallax_px < needed_px:
         return NotObservable(f"a parallax of {parallax_px:.1f} px; {needed_px:g} px are needed")
-    noise = NoiseModel(xy_sigma, c.outlier_sigmas, c.accel_bias_sigma_m_s2, gravity_m_s2)
+    noise = NoiseModel(xy_sigma, c.outlier_sigmas, accel_bias, gravity_m_s2)
     cause = probable_cause(rotation, measured.imu.angular_velocity_deviation_rad_s, c)
     try:
         initial = solve_closed_form(measured, rotation.bias_rad_s, rotation.weights, noise)
@@ -145,7 +150,8 @@ def initialize_dynamic(
     except np.linalg.LinAlgError:
         return NotObservable("the refinement finds no solution", cause)
     state = refined.state
-    reason = _reason_against(refined, cause, measured.imu.integrated(state.gyro_bias), stereo, c)
+    motion = measured.imu.integrated(state.gyro_bias)
+    reason = _reason_against(refined, cause, motion, stereo, accel_bias.sigma, c)
     if reason is not None:
         return reason
     R_world_imu = level_rotation(-state.gravity)
@@ -177,6 +183,7 @@ def _reason_against(
     cause: str,
     motion: Motion,
     stereo: bool,
+    accel_bias_sigma_m_s2: float,
     config: DynamicInitializationConfig,
 ) -> NotObservable | None:
     """Return the first reason why a state cannot be used, or None."""
@@ -184,8 +191,10 @@ def _reason_against(
     inliers = refined.squares < c.max_residual_sigmas**2
     if inliers.mean() <= c.min_inliers:
         return NotObservable(f"{1.0 - inliers.mean():.0%} of the landmarks disagree", cause)
+    if np.linalg.norm(state.accel_bias) > c.max_accel_bias_m_s2:
+        return NotObservable("an implausible accelerometer bias", cause)
     curvature_m = _deviation_from_line(motion.dp + 0.5 * state.gravity * t_s**2, t_s)
-    curvature_of_bias_m = _deviation_from_line(0.5 * c.accel_bias_sigma_m_s2 * t_s**2, t_s)
+    curvature_of_bias_m = _deviation_from_line(0.5 * accel_bias_sigma_m_s2 * t_s**2, t_s)
     behind = float(np.mean(refined.depth_m[inliers] <= MIN_DEPTH_M))
     sigma_m_s = float(np.sqrt(np.linalg.eigvalsh(refined.velocity_covariance)[-1]))
     allowed_m_s = max(c.max_velocity_sigma_m_s, c.max_velocity_sigma * float(np.linalg.norm(state.velocity)))

@@ -1,9 +1,9 @@
-"""The gauge of an initialization: position and yaw, which are not observable, and what is known of the gyroscope bias.
+"""The gauge of an initialization: position and yaw, which are not observable, and what is known of the biases.
 
 The first initialization is at the origin. After a loss, the odometry continues from the last published pose.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -22,18 +22,30 @@ MIN_SPEED_M_S = 1.0
 accelerated since."""
 GYRO_BIAS_SIGMA_RAD_S = 0.003
 """Standard deviation of the gyroscope bias after a flight [rad/s]."""
+MIN_ACCEL_BIAS_SIGMA_M_S2 = 0.03
+"""Smallest standard deviation of the accelerometer bias after a flight [m/s²]."""
+
+
+@dataclass(frozen=True, eq=False)
+class BiasPrior:
+    """What is known of a bias of the IMU."""
+
+    mean: Array
+    """(3,) Expected value, in the unit of the sensor."""
+    sigma: float
+    """Standard deviation on each axis, in the same unit."""
 
 
 class Gauge(Protocol):
     """Determines position and yaw of an initial state."""
 
     @property
-    def gyro_bias_rad_s(self) -> Array:
-        """(3,) Estimate of the gyroscope bias before the initialization [rad/s]."""
+    def gyro_bias(self) -> BiasPrior:
+        """What is known of the gyroscope bias before the initialization [rad/s]."""
 
     @property
-    def gyro_bias_sigma_rad_s(self) -> float:
-        """Standard deviation of that estimate [rad/s]."""
+    def accel_bias(self) -> BiasPrior:
+        """What is known of the accelerometer bias before the initialization [m/s²]."""
 
     def propagated(self, increments: Increments) -> "Gauge":
         """Return the gauge after the IMU increments since the last call."""
@@ -56,8 +68,18 @@ class WorldOrigin:
 
     gyro_bias_sigma_rad_s: float
     """Standard deviation of a gyroscope bias of which nothing is known yet [rad/s]."""
-    gyro_bias_rad_s: Array = field(default_factory=lambda: np.zeros(3))
-    """(3,) Estimate of the gyroscope bias [rad/s]."""
+    accel_bias_sigma_m_s2: float
+    """Standard deviation of such an accelerometer bias [m/s²]."""
+
+    @property
+    def gyro_bias(self) -> BiasPrior:
+        """The gyroscope bias before it is estimated: zero."""
+        return BiasPrior(np.zeros(3), self.gyro_bias_sigma_rad_s)
+
+    @property
+    def accel_bias(self) -> BiasPrior:
+        """The accelerometer bias before it is estimated: zero."""
+        return BiasPrior(np.zeros(3), self.accel_bias_sigma_m_s2)
 
     def propagated(self, increments: Increments) -> "WorldOrigin":
         """Return the gauge unchanged."""
@@ -103,14 +125,16 @@ class LastPublished:
         return sum(float((i.dt_s @ i.excess_density[:, :3]).max()) for i in self.since)
 
     @property
-    def gyro_bias_rad_s(self) -> Array:
-        """(3,) The published gyroscope bias [rad/s]."""
-        return self.published.gyro_bias_rad_s
+    def gyro_bias(self) -> BiasPrior:
+        """The published gyroscope bias [rad/s]."""
+        return BiasPrior(self.published.gyro_bias_rad_s, GYRO_BIAS_SIGMA_RAD_S)
 
     @property
-    def gyro_bias_sigma_rad_s(self) -> float:
-        """Standard deviation of the published gyroscope bias [rad/s]."""
-        return GYRO_BIAS_SIGMA_RAD_S
+    def accel_bias(self) -> BiasPrior:
+        """The published accelerometer bias [m/s²], with the standard deviation along the axis that is known least."""
+        P = self.published.covariance
+        variance = 0.0 if P is None else float(np.linalg.eigvalsh(P[12:, 12:])[-1])
+        return BiasPrior(self.published.accel_bias_m_s2, max(MIN_ACCEL_BIAS_SIGMA_M_S2, float(np.sqrt(variance))))
 
     def propagated(self, increments: Increments) -> "LastPublished":
         """Return the gauge after the IMU increments since the last call."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.initialization.gauge import BiasPrior
 from dronevio.estimator.initialization.robust import robust_weights
 from dronevio.estimator.initialization.views import WindowMeasurements
 from dronevio.estimator.types import Integers
@@ -32,21 +33,6 @@ _DIFFERENCE_RAD_S = 1e-4  # step of the numeric derivatives
 
 
 @dataclass(frozen=True, eq=False)
-class GyroBias:
-    """A gyroscope bias and its uncertainty."""
-
-    mean_rad_s: Array
-    """(3,) Expected value of the bias [rad/s]."""
-    covariance: Array
-    """(3, 3) Its covariance [rad²/s²]."""
-
-    @classmethod
-    def isotropic(cls, mean_rad_s: Array, sigma_rad_s: float) -> "GyroBias":
-        """Return a bias (3,) with the same standard deviation on all axes [rad/s]."""
-        return cls(mean_rad_s, sigma_rad_s**2 * np.eye(3))
-
-
-@dataclass(frozen=True, eq=False)
 class EpipolarSolution:
     """The gyroscope bias by epipolar geometry."""
 
@@ -62,18 +48,18 @@ class EpipolarSolution:
 
 
 def epipolar_gyro_bias(
-    measured: WindowMeasurements, prior: GyroBias, sigma_rad: float, outlier_sigmas: float
+    measured: WindowMeasurements, prior: BiasPrior, sigma_rad: float, outlier_sigmas: float
 ) -> EpipolarSolution:
     """Return the gyroscope bias at which the epipolar planes of each pair of views intersect in one line.
 
     Args:
         measured: Measurements of a window.
-        prior: What is known of the bias before.
+        prior: What is known of the bias before [rad/s].
         sigma_rad: Standard deviation of a bearing [rad].
         outlier_sigmas: Root mean square residual from which a landmark is an outlier, in standard deviations.
     """
     tracks = measured.tracks
-    bias, weights, information = prior.mean_rad_s, np.ones(len(tracks)), np.linalg.inv(prior.covariance)
+    bias, weights, information = prior.mean, np.ones(len(tracks)), np.eye(3) / prior.sigma**2
     first, second = _pairs(tracks.camera, measured.imu.integrated(bias).t_s)
     both = tracks.observed[first] & tracks.observed[second]
     if not both.any():
@@ -92,14 +78,14 @@ def epipolar_gyro_bias(
             for step in _DIFFERENCE_RAD_S * np.eye(3)
         ]
         H, h = _reduced(normals @ directions[:, :, 1:], np.stack(by_bias, axis=-1), residuals, weights * both)
-        step = -np.linalg.solve(H + information, h + information @ (bias - prior.mean_rad_s))
+        step = -np.linalg.solve(H + information, h + information @ (bias - prior.mean))
         bias = bias + step
         if (
             float(np.linalg.norm(step)) < CONVERGED_RAD_S
             and float(np.abs(weights - previous).mean()) < CONVERGED_WEIGHT
         ):
             break
-    residual_sigmas, shift = float(np.sqrt(np.median(squares[count > 0]))), bias - prior.mean_rad_s
+    residual_sigmas, shift = float(np.sqrt(np.median(squares[count > 0]))), bias - prior.mean
     return EpipolarSolution(bias, weights, residual_sigmas, float(np.sqrt(shift @ information @ shift)))
 
 

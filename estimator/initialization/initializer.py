@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimator.backend.keyframes import KeyframePolicy
@@ -20,8 +19,7 @@ from dronevio.estimator.imu.buffer import joined
 from dronevio.estimator.imu.noise import ImuNoiseEstimator
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationParams
 from dronevio.estimator.initialization.dynamic import DynamicInitializationConfig, initialize_dynamic, is_stereo
-from dronevio.estimator.initialization.gauge import Gauge
-from dronevio.estimator.initialization.gyro_bias import GyroBias
+from dronevio.estimator.initialization.gauge import BiasPrior, Gauge
 from dronevio.estimator.initialization.not_observable import NotObservable, implausible_force
 from dronevio.estimator.initialization.static import (
     InitialSigmas,
@@ -31,8 +29,6 @@ from dronevio.estimator.initialization.static import (
 from dronevio.estimator.types import Calibration, FramePacket
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 MIN_FEATURES = 100
 """Below this number of features, new ones are detected in every frame during initialization."""
@@ -98,19 +94,19 @@ class Initializer:
             smoother: Settings of the smoother that is started.
             landmarks: Settings of its landmarks.
             keyframes: Determines the intervals between keyframes.
-            gauge: Provides the prior of the gyroscope bias.
+            gauge: Provides the priors of the biases.
         """
         self._config, self._keyframes = config, keyframes
         self._smoother_config, self._landmark_config = smoother, landmarks
-        self._gyro_bias_rad_s, self._gyro_bias_sigma_rad_s = gauge.gyro_bias_rad_s, gauge.gyro_bias_sigma_rad_s
+        self._gyro_bias, self._accel_bias = gauge.gyro_bias, gauge.accel_bias
         self._window: list[FramePacket] = []
         self._last_attempt_ns = self._replenished_ns = 0
         self._last_reason = NotObservable("no initialization has been attempted")
 
     @property
-    def gyro_bias(self) -> tuple[Array, float]:
-        """The estimated gyroscope bias (3,) and its standard deviation [rad/s]."""
-        return self._gyro_bias_rad_s, self._gyro_bias_sigma_rad_s
+    def gyro_bias(self) -> BiasPrior:
+        """What is known of the gyroscope bias so far [rad/s]."""
+        return self._gyro_bias
 
     def needs_features(self, packet: FramePacket) -> bool:
         """Return whether new features should be detected in a frame: if there are few, or at the keyframe interval."""
@@ -162,7 +158,7 @@ class Initializer:
         if len(window) < 2:
             return NotObservable("one frame since the start of the initialization")
         increments = [packet.increments for packet in window[1:]]
-        self._gyro_bias_rad_s, self._gyro_bias_sigma_rad_s = mean_angular_velocity(increments), 0.0
+        self._gyro_bias = BiasPrior(mean_angular_velocity(increments), 0.0)
         span_s = (window[-1].t_ns - window[0].t_ns + TIME_TOLERANCE_NS) * 1e-9
         if span_s < self._config.static_window_s:
             return NotObservable(f"stationary for {span_s:.1f} s; {self._config.static_window_s:g} s are needed")
@@ -180,10 +176,14 @@ class Initializer:
         self, window: Sequence[FramePacket], calibration: Calibration, gauge: Gauge, params: PreintegrationParams
     ) -> KeyframeSmoother | NotObservable:
         c = self._config
-        sigma_rad_s = max(self._gyro_bias_sigma_rad_s, c.rest_gyro_bias_sigma_rad_s)
-        prior, focal_px = GyroBias.isotropic(self._gyro_bias_rad_s, sigma_rad_s), float(calibration.focal_px[0])
         start = initialize_dynamic(
-            window, calibration.Ts_imu_cam, focal_px, c.dynamic, prior, gravity_m_s2=params.gravity_m_s2
+            window,
+            calibration.Ts_imu_cam,
+            float(calibration.focal_px[0]),
+            c.dynamic,
+            replace(self._gyro_bias, sigma=max(self._gyro_bias.sigma, c.rest_gyro_bias_sigma_rad_s)),
+            self._accel_bias,
+            gravity_m_s2=params.gravity_m_s2,
         )
         if isinstance(start, NotObservable):
             self._last_reason = start

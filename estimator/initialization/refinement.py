@@ -17,7 +17,7 @@ from dronevio.estimator.initialization.closed_form import (
     WindowState,
     mean_depth_m,
 )
-from dronevio.estimator.initialization.gyro_bias import GyroBias
+from dronevio.estimator.initialization.gauge import BiasPrior
 from dronevio.estimator.initialization.robust import INLIER_WEIGHT, robust_weights
 from dronevio.estimator.initialization.views import WindowMeasurements
 
@@ -51,25 +51,25 @@ class RefinedState:
         return np.asarray(self.weights >= INLIER_WEIGHT)
 
 
-def refine(measured: WindowMeasurements, state: WindowState, prior: GyroBias, noise: NoiseModel) -> RefinedState:
+def refine(measured: WindowMeasurements, state: WindowState, gyro_bias: BiasPrior, noise: NoiseModel) -> RefinedState:
     """Return the state that minimizes the reprojection errors.
 
     Args:
         measured: Measurements of a window.
         state: Initial value.
-        prior: What is known of the gyroscope bias from elsewhere.
+        gyro_bias: What is known of the gyroscope bias from elsewhere [rad/s].
         noise: Assumptions on the measurements.
     """
     geometry = _geometry(measured, state.gyro_bias)
     landmarks = LinearSystem.of(measured, geometry).B @ state.y
     for _ in range(STEPS):
         equations = _Equations.at(measured, state, landmarks, noise)
-        H, h = equations.with_priors(state, prior, noise)
+        H, h = equations.with_priors(state, gyro_bias, noise)
         change = np.asarray(np.linalg.solve(H, -h))
         landmarks = landmarks - equations.landmark_steps @ np.append(change, 1.0)
         state = _changed(state, change)
     equations = _Equations.at(measured, state, landmarks, noise)
-    covariance = np.asarray(np.linalg.inv(equations.with_priors(state, prior, noise)[0]))
+    covariance = np.asarray(np.linalg.inv(equations.with_priors(state, gyro_bias, noise)[0]))
     freedom = equations.weights * measured.tracks.degrees_of_freedom
     variance_factor = max(float(equations.squares @ freedom) / float(freedom.sum()), 1.0)
     return RefinedState(
@@ -126,13 +126,15 @@ class _Equations:
         depth_m = mean_depth_m(measured, in_cameras)
         return cls(total[:_STATE, :_STATE], total[:_STATE, _STATE], eliminated, weights, squares, depth_m)
 
-    def with_priors(self, state: WindowState, prior: GyroBias, noise: NoiseModel) -> tuple[Array, Array]:
+    def with_priors(self, state: WindowState, gyro_bias: BiasPrior, noise: NoiseModel) -> tuple[Array, Array]:
         """Return matrix and gradient with the priors of the biases."""
-        H, h, gyro = self.H.copy(), self.h.copy(), np.linalg.inv(prior.covariance)
-        H[_ACCEL_BIAS, _ACCEL_BIAS] += np.eye(3) / noise.accel_bias_sigma_m_s2**2
-        h[_ACCEL_BIAS] += state.accel_bias / noise.accel_bias_sigma_m_s2**2
-        H[_GYRO_BIAS, _GYRO_BIAS] += gyro
-        h[_GYRO_BIAS] += gyro @ (state.gyro_bias - prior.mean_rad_s)
+        H, h = self.H.copy(), self.h.copy()
+        for rows, bias, prior in (
+            (_ACCEL_BIAS, state.accel_bias, noise.accel_bias),
+            (_GYRO_BIAS, state.gyro_bias, gyro_bias),
+        ):
+            H[rows, rows] += np.eye(3) / prior.sigma**2
+            h[rows] += (bias - prior.mean) / prior.sigma**2
         return H, h
 
 

@@ -203,7 +203,7 @@ def test_recovery_keeps_last_position_and_gyroscope_yaw(seed: int) -> None:
 
 def test_first_initialization_defines_the_world_frame() -> None:
     start = NavState(5, pose_matrix(exp_so3(np.ones(3)), ZERO), np.ones(3), ZERO, ZERO)
-    origin = WorldOrigin(gyro_bias_sigma_rad_s=0.05)
+    origin = WorldOrigin(gyro_bias_sigma_rad_s=0.05, accel_bias_sigma_m_s2=0.1)
     assert origin.propagated(random_rotation(np.random.default_rng(0))) is origin
     assert origin.align(start, random_rotation(np.random.default_rng(0))) is start
     np.testing.assert_array_equal(

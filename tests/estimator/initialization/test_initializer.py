@@ -85,14 +85,14 @@ def test_first_packet_after_a_loss_at_rest_is_not_enough(stationary_flight: "Syn
         expected = "stationary for" if index else "one frame since the start of the initialization"
         assert result.reason.startswith(expected)
         if index == 0:  # one packet has no increments of the window, so that the bias stays that of the gauge
-            np.testing.assert_array_equal(initializer.gyro_bias[0], gauge.gyro_bias_rad_s)
-            assert initializer.gyro_bias[1] == gauge.gyro_bias_sigma_rad_s
+            np.testing.assert_array_equal(initializer.gyro_bias.mean, gauge.gyro_bias.mean)
+            assert initializer.gyro_bias.sigma == gauge.gyro_bias.sigma
 
 
 @pytest.mark.parametrize("stationary_before_s", [0.0, 2.0], ids=["first start", "after a loss"])
 def test_static_window_yields_a_smoother(stationary_flight: "SyntheticFlight", stationary_before_s: float) -> None:
     """The window must be full, however long the drone has been stationary before its first packet."""
-    gauge = WorldOrigin(gyro_bias_sigma_rad_s=0.05)
+    gauge = WorldOrigin(gyro_bias_sigma_rad_s=0.05, accel_bias_sigma_m_s2=0.1)
     initializer, last = initializer_at(gauge), round(CONFIG.static_window_s / FRAME_S)
     packets = packets_of(stationary_flight, last + 1)
     results = [
@@ -113,7 +113,7 @@ def test_static_window_yields_a_smoother(stationary_flight: "SyntheticFlight", s
 def test_accelerometer_in_other_units_is_refused(
     stationary_flight: "SyntheticFlight", scale: float, plausible: bool
 ) -> None:
-    gauge = WorldOrigin(gyro_bias_sigma_rad_s=0.05)
+    gauge = WorldOrigin(gyro_bias_sigma_rad_s=0.05, accel_bias_sigma_m_s2=0.1)
     initializer, result = initializer_at(gauge), None
     for index, packet in enumerate(packets_of(stationary_flight, round(CONFIG.static_window_s / FRAME_S) + 1)):
         increments = replace(packet.increments, accel_m_s2=scale * packet.increments.accel_m_s2)
@@ -128,7 +128,7 @@ def test_accelerometer_in_other_units_is_refused(
 @pytest.mark.parametrize("every", [3, 4, 5])
 def test_two_cameras_at_rest_have_landmarks_from_the_start(stationary_flight: "SyntheticFlight", every: int) -> None:
     """The keyframes are the frames with matches, wherever these are in the window; without any, position is unknown."""
-    rig, gauge = rig_named("euroc-stereo"), WorldOrigin(gyro_bias_sigma_rad_s=0.05)
+    rig, gauge = rig_named("euroc-stereo"), WorldOrigin(gyro_bias_sigma_rad_s=0.05, accel_bias_sigma_m_s2=0.1)
     packets = packets_of(stationary_flight, round(CONFIG.static_window_s / FRAME_S) + 1)
 
     def landmarks_and_sigma_m(given: list[FramePacket]) -> tuple[int, float]:
@@ -149,7 +149,7 @@ def test_two_cameras_at_rest_have_landmarks_from_the_start(stationary_flight: "S
 def test_noise_at_rest_is_used_from_the_start(make_flight: Callable[..., "SyntheticFlight"]) -> None:
     """An initialization at rest raises the noise to that of its window."""
     flight = make_flight(3, rest_s=5.0, duration_s=2.0, imu_noise=10.0)
-    gauge, noise = WorldOrigin(gyro_bias_sigma_rad_s=0.05), noise_of(flight)
+    gauge, noise = WorldOrigin(gyro_bias_sigma_rad_s=0.05, accel_bias_sigma_m_s2=0.1), noise_of(flight)
     initializer, last = initializer_at(gauge), round(CONFIG.static_window_s / FRAME_S)
     sheet = np.array([flight.rig.imu.gyro_noise_density, flight.rig.imu.accel_noise_density])
     for index, packet in enumerate(packets_of(flight, last + 1)):

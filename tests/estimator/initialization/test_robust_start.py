@@ -17,7 +17,8 @@ from dronevio.estimator.initialization.dynamic import (
     initialize_dynamic,
     probable_cause,
 )
-from dronevio.estimator.initialization.gyro_bias import EpipolarSolution, GyroBias, epipolar_gyro_bias
+from dronevio.estimator.initialization.gauge import BiasPrior
+from dronevio.estimator.initialization.gyro_bias import EpipolarSolution, epipolar_gyro_bias
 from dronevio.estimator.initialization.not_observable import (
     ACCEL_DISAGREES,
     FORCE_IS_NOT_GRAVITY,
@@ -40,7 +41,7 @@ Array = npt.NDArray[np.float64]
 MakeFlight = Callable[..., "SyntheticFlight"]
 
 BIAS = np.array([0.03, -0.02, 0.08])
-UNKNOWN = GyroBias.isotropic(np.zeros(3), 0.05)
+UNKNOWN, UNKNOWN_ACCEL = BiasPrior(np.zeros(3), 0.05), BiasPrior(np.zeros(3), 0.1)
 SIGMA = 0.5 / 458.0
 
 
@@ -104,8 +105,10 @@ def test_a_third_of_wrong_tracks_does_not_change_the_start(make_flight: MakeFlig
     flight = make_flight(seed, rest_s=-5.0, duration_s=2.0, pixel_noise=0.3, max_features=120, gyro_bias=BIAS)
     window, config = window_of(flight), DynamicInitializationConfig()
     focal_px = flight.rig.cameras[0].model.fx
-    clean = initialize_dynamic(window, poses_of(flight), focal_px, config, UNKNOWN)
-    start = initialize_dynamic(corrupted(window, 0.33, WRONG[kind]), poses_of(flight), focal_px, config, UNKNOWN)
+    clean = initialize_dynamic(window, poses_of(flight), focal_px, config, UNKNOWN, UNKNOWN_ACCEL)
+    start = initialize_dynamic(
+        corrupted(window, 0.33, WRONG[kind]), poses_of(flight), focal_px, config, UNKNOWN, UNKNOWN_ACCEL
+    )
     assert isinstance(clean, DynamicStart) and isinstance(start, DynamicStart)
     truth = flight.truth_at(flight.frame_times_ns[:1])
     assert truth.velocity_m_s is not None
@@ -134,7 +137,7 @@ def test_epipolar_bias_needs_no_initial_value(make_flight: MakeFlight, kind: str
 
 def test_epipolar_bias_is_exact_without_noise(make_flight: MakeFlight) -> None:
     flight = make_flight(1, rest_s=-5.0, duration_s=2.0, noisy=False, sampling="increment", gyro_bias=BIAS)
-    found = epipolar_gyro_bias(measured(window_of(flight), flight), GyroBias.isotropic(np.zeros(3), 10.0), SIGMA, 2.0)
+    found = epipolar_gyro_bias(measured(window_of(flight), flight), BiasPrior(np.zeros(3), 10.0), SIGMA, 2.0)
     bias, weights = found.bias_rad_s, found.weights
     assert found.residual_sigmas < 1e-3
     np.testing.assert_allclose(bias, biases_of(flight)[0], atol=1e-6)
@@ -143,23 +146,23 @@ def test_epipolar_bias_is_exact_without_noise(make_flight: MakeFlight) -> None:
 
 def test_without_pairs_of_views_the_prior_remains(make_flight: MakeFlight) -> None:
     flight = make_flight(1, rest_s=-5.0, duration_s=2.0)
-    prior = GyroBias.isotropic(np.array([0.01, 0.02, 0.03]), 0.05)
+    prior = BiasPrior(np.array([0.01, 0.02, 0.03]), 0.05)
     found = epipolar_gyro_bias(measured(window_of(flight, 0.15), flight), prior, SIGMA, 2.0)
     bias, weights = found.bias_rad_s, found.weights
-    np.testing.assert_array_equal(bias, prior.mean_rad_s)
+    np.testing.assert_array_equal(bias, prior.mean)
     assert (weights == 1.0).all()
 
 
 def test_a_certain_prior_determines_the_bias(make_flight: MakeFlight) -> None:
     flight = make_flight(1, rest_s=-5.0, duration_s=2.0, gyro_bias=BIAS)
-    views, prior = measured(window_of(flight), flight), GyroBias.isotropic(np.array([0.01, 0.02, 0.03]), 1e-7)
+    views, prior = measured(window_of(flight), flight), BiasPrior(np.array([0.01, 0.02, 0.03]), 1e-7)
     bias = epipolar_gyro_bias(views, prior, SIGMA, 2.0).bias_rad_s
-    np.testing.assert_allclose(bias, prior.mean_rad_s, atol=1e-6)
-    moved = GyroBias.isotropic(prior.mean_rad_s + 1e-3, 1e-7)
+    np.testing.assert_allclose(bias, prior.mean, atol=1e-6)
+    moved = BiasPrior(prior.mean + 1e-3, 1e-7)
     state = refine(
         views, solve_closed_form(views, bias, np.ones(len(views.tracks)), noise_of(0.1)), moved, noise_of(0.1)
     )
-    np.testing.assert_allclose(state.state.gyro_bias, moved.mean_rad_s, atol=1e-5)
+    np.testing.assert_allclose(state.state.gyro_bias, moved.mean, atol=1e-5)
 
 
 def turned(flight: "SyntheticFlight", degrees: float) -> Array:
@@ -195,7 +198,9 @@ def test_cause_of_a_failed_start_is_stated(make_flight: MakeFlight, mistake: str
     gyro, accel, degrees, cause = MISTAKES[mistake]
     flight = make_flight(seed, rest_s=-5.0, duration_s=2.0, pixel_noise=0.3, max_features=120)
     window, focal_px = scaled(window_of(flight), gyro, accel), flight.rig.cameras[0].model.fx
-    found = initialize_dynamic(window, turned(flight, degrees), focal_px, DynamicInitializationConfig(), UNKNOWN)
+    found = initialize_dynamic(
+        window, turned(flight, degrees), focal_px, DynamicInitializationConfig(), UNKNOWN, UNKNOWN_ACCEL
+    )
     assert isinstance(found, NotObservable) and found.cause == cause
 
 
@@ -225,13 +230,13 @@ def test_singular_refinement_is_no_start(make_flight: MakeFlight, monkeypatch: p
     monkeypatch.setattr("dronevio.estimator.initialization.dynamic.refine", singular)
     flight = make_flight(0, rest_s=-5.0, duration_s=2.0)
     focal_px, Ts = flight.rig.cameras[0].model.fx, turned(flight, 0.0)
-    found = initialize_dynamic(window_of(flight), Ts, focal_px, DynamicInitializationConfig(), UNKNOWN)
+    found = initialize_dynamic(window_of(flight), Ts, focal_px, DynamicInitializationConfig(), UNKNOWN, UNKNOWN_ACCEL)
     assert isinstance(found, NotObservable) and found.reason == "the refinement finds no solution" and found.cause
 
 
 def noise_of(accel_bias_sigma_m_s2: float) -> NoiseModel:
     """Return a noise model with a standard deviation of the accelerometer bias."""
-    return NoiseModel(SIGMA, 2.0, accel_bias_sigma_m_s2, GRAVITY_M_S2)
+    return NoiseModel(SIGMA, 2.0, BiasPrior(np.zeros(3), accel_bias_sigma_m_s2), GRAVITY_M_S2)
 
 
 def test_accelerometer_bias_is_estimated(make_flight: MakeFlight) -> None:
@@ -248,7 +253,7 @@ def test_accelerometer_bias_is_estimated(make_flight: MakeFlight) -> None:
     found: list[WindowState] = []
     for sigma in (10.0, 1e-4):
         initial = solve_closed_form(views, gyro_bias, np.ones(len(views.tracks)), noise_of(sigma))
-        found.append(refine(views, initial, GyroBias.isotropic(gyro_bias, 0.01), noise_of(sigma)).state)
+        found.append(refine(views, initial, BiasPrior(gyro_bias, 0.01), noise_of(sigma)).state)
     wide, narrow = found
     np.testing.assert_allclose(wide.accel_bias, accel_bias, atol=0.01)
     np.testing.assert_allclose(wide.velocity, true_velocity, atol=5e-3)
@@ -263,7 +268,7 @@ def test_refinement_finds_the_minimum(make_flight: MakeFlight) -> None:
     flight = make_flight(0, rest_s=-5.0, duration_s=2.0, pixel_noise=0.3, gyro_bias=BIAS)
     views, noise, gyro_bias = measured(window_of(flight), flight), noise_of(0.1), biases_of(flight)[0]
     initial = solve_closed_form(views, gyro_bias, np.ones(len(views.tracks)), noise)
-    prior = GyroBias.isotropic(gyro_bias, 0.02)
+    prior = BiasPrior(gyro_bias, 0.02)
     best = refine(views, initial, prior, noise)
     moved = replace(initial, velocity=initial.velocity + 0.05, gyro_bias=gyro_bias + 0.002)
     again = refine(views, moved, prior, noise)
