@@ -83,6 +83,11 @@ class HealthConfig(Settings):
     disconnected_s: Annotated[float, Range(low=0.0, infinite=True)] = 5.0
     """Time after a keyframe without a common feature with the one before, in which inconsistent innovations mean a loss
     [s]: the images show another place, as when they are exchanged or the vehicle is carried away."""
+    max_bias_change_sigmas: Annotated[float, Range(above=0.0, infinite=True)] = 3.0
+    """Largest change of the accelerometer bias in that time, in standard deviations before it, to which
+    `max_accel_bias_change_m_s2` is added. A larger one hides that the direction of gravity is another one."""
+    max_accel_bias_change_m_s2: Annotated[float, Range(above=0.0, infinite=True)] = 0.1
+    """Largest change of an accelerometer bias that is known exactly [m/s²]; 0.1 m/s² are 0.6° of inclination."""
     max_nis: Annotated[float, Range(above=0.0, infinite=True)] = 60.0
     """Median NIS over the window beyond which the estimate is lost."""
     image_variance_bounds: Annotated[tuple[float, float], Range(1e-6, 1e6)] = (0.1, 10.0)
@@ -149,6 +154,7 @@ class HealthMonitor:
         self._constrained_sigma_m = 0.0  # standard deviation of the position at that time
         self._consistent_ns: int | None = None  # last time at which landmarks did not contradict the estimate
         self._disconnected_ns: int | None = None  # last time at which no feature connected the images
+        self._connected: NavState | None = None  # the keyframe before
         self._lost_reason: str | None = None
 
     @property
@@ -193,7 +199,7 @@ class HealthMonitor:
             t_ns: Time of the first image of the new ones [ns].
         """
         if self._trust.is_trusted:
-            self._disconnected_ns = t_ns
+            self._disconnected_ns, self._connected = t_ns, self._keyframe
         self._trust.restart_motion()
 
     def correct(self, before: NavState, after: NavState) -> None:
@@ -279,6 +285,15 @@ class HealthMonitor:
         bias = np.concatenate([state.gyro_bias_rad_s, state.accel_bias_m_s2])
         return float((np.abs(bias) / self._bias_sigmas).max())
 
+    def _has_bias_changed(self, predicted: NavState) -> bool:
+        """Return whether the accelerometer bias differs from that before the images were disconnected."""
+        before, c = self._connected, self._config
+        if before is None or before.covariance is None:
+            return False
+        sigma = np.sqrt(np.diag(before.covariance)[12:])
+        change = np.abs(predicted.accel_bias_m_s2 - before.accel_bias_m_s2)
+        return bool(np.any(change > c.max_accel_bias_change_m_s2 + c.max_bias_change_sigmas * sigma))
+
     def _prediction_covariance(self, predicted: NavState) -> tuple[Array, float]:
         """Return the uncertainty of the prediction since the newest keyframe.
 
@@ -328,7 +343,7 @@ class HealthMonitor:
             return f"a bias of {bias_sigmas:.0f} standard deviations"
         if contradicted_s > c.max_contradiction_s:
             return f"landmarks have contradicted the estimate for {contradicted_s:.1f} s"
-        if self._disconnected_ns is not None and not self._trust.is_trusted:
+        if self._disconnected_ns is not None and (not self._trust.is_trusted or self._has_bias_changed(predicted)):
             since_s = (predicted.t_ns - self._disconnected_ns) * 1e-9
             if since_s <= c.disconnected_s:
                 return f"no feature connects the images with those of {since_s:.1f} s ago, and they contradict the IMU"
