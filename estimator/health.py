@@ -202,6 +202,11 @@ class HealthMonitor:
             self._disconnected_ns, self._connected = t_ns, self._keyframe
         self._trust.restart_motion()
 
+    def is_disconnected(self, t_ns: int) -> bool:
+        """Return whether no feature has connected the images in the last `disconnected_s` before a time [ns]."""
+        since_ns = None if self._disconnected_ns is None else t_ns - self._disconnected_ns
+        return since_ns is not None and since_ns * 1e-9 <= self._config.disconnected_s
+
     def correct(self, before: NavState, after: NavState) -> None:
         """Note that another calibration has changed the state; a change that was improbable contradicts the estimate.
 
@@ -343,9 +348,9 @@ class HealthMonitor:
             return f"a bias of {bias_sigmas:.0f} standard deviations"
         if contradicted_s > c.max_contradiction_s:
             return f"landmarks have contradicted the estimate for {contradicted_s:.1f} s"
-        if self._disconnected_ns is not None and (not self._trust.is_trusted or self._has_bias_changed(predicted)):
+        if self._disconnected_ns is not None and self.is_disconnected(predicted.t_ns):
             since_s = (predicted.t_ns - self._disconnected_ns) * 1e-9
-            if since_s <= c.disconnected_s:
+            if not self._trust.is_trusted or self._has_bias_changed(predicted):
                 return f"no feature connects the images with those of {since_s:.1f} s ago, and they contradict the IMU"
         nis = self._trust.median_nis
         if nis > c.max_nis:

@@ -121,7 +121,8 @@ class VisualInertialOdometry:
             c.initialization.gyro_bias_sigma_rad_s, c.initialization.dynamic.accel_bias_sigma_m_s2
         )
         self._gauge: Gauge = self._origin
-        self._state: Initializing | Tracking = self._initializing()
+        self._state: Initializing | Tracking = Initializing(self._initializer(is_trusted=True))
+        self._restart: Initializer | None = None  # collects frames since no feature connected images
         self._origin_m = np.zeros(3)  # position at the last initialization
 
     def add_imu(self, samples: ImuSamples) -> None:
@@ -191,6 +192,8 @@ class VisualInertialOdometry:
 
     def _track(self, tracking: Tracking, packet: FramePacket) -> Estimate:
         """Propagate the newest state to a frame, or make the frame a keyframe."""
+        if self._restart is not None:
+            self._restart.collect(packet)
         stationary_s = self._zero_velocity.stationary_s
         stationary = tracking.propagator.would_be_stationary(packet, stationary_s)
         events: tuple[str, ...] = ()
@@ -248,6 +251,8 @@ class VisualInertialOdometry:
         smoother, propagator = tracking.smoother, tracking.propagator
         is_connected = packet.t_ns != self._newest_ns or self._connection.add_keyframe(packet.observations)
         if not is_connected:
+            self._restart = self._initializer(tracking.monitor.is_trusted)
+            self._restart.collect(packet)
             tracking.monitor.disconnect(packet.t_ns)
         rate = packet.increments.angular_velocity(smoother.state.gyro_bias_rad_s)
         keyframe = Keyframe(packet.t_ns, propagator.preintegrated, packet.observations, stationary, rate)
@@ -325,8 +330,14 @@ class VisualInertialOdometry:
         return smoother.restarted(self._calibration, inflation, state)
 
     def _lose(self, tracking: Tracking, packet: FramePacket, report: HealthReport) -> Estimate:
-        """Discard the estimate and begin another initialization, which continues from the last published pose."""
-        self._state = self._initializing(tracking.monitor.is_trusted)
+        """Discard the estimate and begin another initialization, which continues from the last published pose.
+
+        If the images show another place, it uses all frames that do.
+        """
+        monitor = tracking.monitor
+        initializer = self._restart if monitor.is_disconnected(packet.t_ns) else None
+        self._state = Initializing(initializer or self._initializer(monitor.is_trusted), monitor.is_trusted)
+        self._restart = None
         self._online_calibration.restart()
         if self._observer is not None:
             self._observer.lost()
@@ -372,14 +383,10 @@ class VisualInertialOdometry:
         )
         return replace(state, covariance=state.covariance + added)
 
-    def _initializing(self, is_trusted: bool = True) -> Initializing:
-        """Return the state before an initialization, of which the health is trusted from the beginning or not.
-
-        The biases of an inconsistent estimate are not used.
-        """
+    def _initializer(self, is_trusted: bool) -> Initializer:
+        """Return an initializer, which knows the biases of an estimate that is trusted."""
         c, known = self._config, self._gauge if is_trusted else self._origin
-        initializer = Initializer(c.initialization, c.smoother, c.landmarks, self._keyframe_policy, known)
-        return Initializing(initializer, is_trusted)
+        return Initializer(c.initialization, c.smoother, c.landmarks, self._keyframe_policy, known)
 
     def _tracking(self, smoother: KeyframeSmoother, monitor: HealthMonitor, observations: Observations) -> Tracking:
         """Return the tracking state at the smoother's newest keyframe."""

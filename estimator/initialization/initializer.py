@@ -117,6 +117,12 @@ class Initializer:
             return True
         return False
 
+    def collect(self, packet: FramePacket) -> None:
+        """Add a frame without an attempt to initialize."""
+        span_s = max(self._config.static_window_s, self._config.dynamic.max_window_s)
+        self._window = [*self._window, packet]
+        self._window = self._since(packet.t_ns, span_s)
+
     def add(
         self,
         packet: FramePacket,
@@ -135,15 +141,16 @@ class Initializer:
             noise: Estimator of the noise of the IMU; a static initialization adds its stationary interval.
         """
         c, t_ns = self._config, packet.t_ns
-        self._window.append(packet)
-        while t_ns - self._window[0].t_ns > max(c.static_window_s, c.dynamic.window_s) * 1e9 + TIME_TOLERANCE_NS:
-            self._window.pop(0)
+        self.collect(packet)
         if not packet.has_image:
             return self._last_reason
         if stationary_s > 0.0:
             return self._static(self._since(t_ns, stationary_s), calibration, gauge, noise)
-        needed_s = c.dynamic.stereo_window_s if is_stereo(self._window, c.dynamic) else c.dynamic.window_s
-        window = self._since(t_ns, needed_s)
+        if is_stereo(self._window, c.dynamic):
+            needed_s = c.dynamic.stereo_window_s
+            window = self._since(t_ns, needed_s)
+        else:
+            needed_s, window = c.dynamic.window_s, self._since(t_ns, c.dynamic.max_window_s)
         span_s = (t_ns - window[0].t_ns + TIME_TOLERANCE_NS) * 1e-9
         if span_s < needed_s:
             return NotObservable(f"{span_s:.1f} s of frames; {needed_s:g} s are needed")
