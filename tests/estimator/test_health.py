@@ -384,3 +384,27 @@ def test_exchanged_images_alone_are_no_loss() -> None:
     monitor = monitor_of(triangulated)
     monitor.disconnect(START.t_ns)
     assert set(health_of([error_of_nis(1.0)] * 80, monitor, triangulated)) == {Health.TRACKING}
+
+
+@pytest.mark.parametrize(
+    ("sigma_m_s2", "change_m_s2", "is_disconnected", "expected"),
+    [
+        (0.01, 0.14, True, Health.LOST),  # 0.1 m/s² and three standard deviations are allowed
+        (0.01, 0.12, True, Health.TRACKING),
+        (0.02, 0.14, True, Health.TRACKING),
+        (0.01, 0.14, False, Health.TRACKING),
+    ],
+)
+def test_accelerometer_bias_that_changes_with_the_images_is_a_loss(
+    sigma_m_s2: float, change_m_s2: float, is_disconnected: bool, expected: Health
+) -> None:
+    triangulated, observations = landmarks_and_observations(40)
+    covariance = START.covariance.copy() if START.covariance is not None else np.eye(15)
+    covariance[12:, 12:] = sigma_m_s2**2 * np.eye(3)
+    keyframe = replace(START, covariance=covariance, accel_bias_m_s2=np.array([0.0, 0.2, 0.0]))
+    monitor = monitor_of(triangulated)
+    monitor.set_reference(keyframe, triangulated, None, (0.0, 0.0))
+    if is_disconnected:
+        monitor.disconnect(START.t_ns)
+    bias = keyframe.accel_bias_m_s2 - np.array([0.0, change_m_s2, 0.0])
+    assert assess(monitor, observations, state_after(1, accel_bias_m_s2=bias)).health == expected

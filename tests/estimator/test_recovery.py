@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.imu.buffer import Increments
-from dronevio.estimator.initialization.gauge import LastPublished, WorldOrigin
+from dronevio.estimator.initialization.gauge import MIN_ACCEL_BIAS_SIGMA_M_S2, LastPublished, WorldOrigin
 from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
@@ -209,3 +209,18 @@ def test_first_initialization_defines_the_world_frame() -> None:
     np.testing.assert_array_equal(
         origin.covariance(start, InitialSigmas()), InitialSigmas().covariance(start.T_world_imu[:3, :3])
     )
+
+
+def test_biases_of_the_last_state_are_known_after_a_loss() -> None:
+    """The standard deviation is that of the axis that is known least, and not below that of a bias after a flight."""
+    P = np.zeros((15, 15))
+    P[12:, 12:] = np.diag([0.01, 0.05, 0.02]) ** 2
+    gyro, accel = np.array([0.01, 0.02, 0.03]), np.array([0.1, 0.2, 0.3])
+    published = NavState(0, np.eye(4), ZERO, gyro, accel, P)
+    known = LastPublished.of(published)
+    np.testing.assert_array_equal(known.gyro_bias.mean, gyro)
+    np.testing.assert_array_equal(known.accel_bias.mean, accel)
+    assert known.accel_bias.sigma == pytest.approx(0.05)
+    exact = LastPublished.of(replace(published, covariance=np.zeros((15, 15))))
+    assert exact.accel_bias.sigma == MIN_ACCEL_BIAS_SIGMA_M_S2
+    assert WorldOrigin(0.05, 0.1).accel_bias.sigma == 0.1

@@ -139,6 +139,29 @@ def test_weak_excitation_gives_a_good_scale_or_no_state(make_flight: MakeFlight,
         assert 0.7 < np.linalg.norm(state.velocity_m_s) / np.linalg.norm(true_velocity_m_s) < 1.4
 
 
+DISTANT = {
+    "positions_m": np.array([[6.0, 1.2], [5.2, 1.4], [2.0, 0.8]]),
+    "position_rates": np.array([[0.28, 0.76], [0.36, 0.68], [0.32, 0.92]]),
+}
+"""A motion with up to 3 m/s and an acceleration of some tenths of a m/s²."""
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_distant_landmarks_do_not_collapse(make_flight: MakeFlight, seed: int) -> None:
+    """At distances of some 10 m, an accelerometer bias must not move the cameras and all landmarks to one point."""
+    flight = make_flight(seed, rest_s=-5.0, duration_s=3.5, pixel_noise=0.15, max_features=150, motion=DISTANT)
+    flight = replace(flight, landmarks=3.0 * flight.landmarks)
+    truth = flight.truth_at(flight.frame_times_ns[:1])
+    assert truth.velocity_m_s is not None
+    speed = float(np.linalg.norm(truth.velocity_m_s[0]))
+    short, long = (initialized(flight, seconds=seconds) for seconds in (CONFIG.window_s, CONFIG.max_window_s))
+    assert isinstance(long, NavState)
+    for state in (short, long):
+        if isinstance(state, NavState):
+            velocity, tilt, _ = errors(state, truth)
+            assert velocity < 0.02 + 0.08 * speed and tilt < np.radians(1.0)
+
+
 def test_every_threshold_can_reject_the_state(make_flight: MakeFlight) -> None:
     flight = make_flight(0, rest_s=-5.0, duration_s=2.0)
     assert isinstance(initialized(flight), NavState)

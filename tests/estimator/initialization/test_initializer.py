@@ -22,6 +22,7 @@ from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import inverse_pose
+from tests.estimator.initialization.test_dynamic import DISTANT
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
@@ -48,9 +49,9 @@ def packets_of(flight: "SyntheticFlight", count: int) -> list[FramePacket]:
     return packets
 
 
-def initializer_at(gauge: Gauge) -> Initializer:
+def initializer_at(gauge: Gauge, config: InitializerConfig = CONFIG) -> Initializer:
     """Return an initializer without frames."""
-    return Initializer(CONFIG, SmootherConfig(), LandmarkConfig(), KeyframePolicy(KeyframeConfig()), gauge)
+    return Initializer(config, SmootherConfig(), LandmarkConfig(), KeyframePolicy(KeyframeConfig()), gauge)
 
 
 def noise_of(flight: "SyntheticFlight") -> ImuNoiseEstimator:
@@ -156,3 +157,27 @@ def test_noise_at_rest_is_used_from_the_start(make_flight: Callable[..., "Synthe
         assert noise.densities / sheet == pytest.approx([2.0, 5.0])
         initializer.add(packet, FRAME_S * index, Calibration(flight.rig), gauge, noise)
     assert noise.densities / sheet == pytest.approx([10.0, 10.0], rel=0.3)
+
+
+def test_window_grows_until_the_scale_is_observable(make_flight: Callable[..., "SyntheticFlight"]) -> None:
+    """Far from all landmarks, 1.5 s of a gentle flight do not show its scale, wherever they begin."""
+    flight = make_flight(0, rest_s=-5.0, duration_s=3.5, pixel_noise=0.15, max_features=150, motion=DISTANT)
+    flight = replace(flight, landmarks=3.0 * flight.landmarks)
+    gauge = WorldOrigin(gyro_bias_sigma_rad_s=0.05, accel_bias_sigma_m_s2=0.1)
+    packets = packets_of(flight, round(CONFIG.dynamic.max_window_s / FRAME_S) + 1)
+
+    def start_s(max_window_s: float) -> float:
+        dynamic = replace(CONFIG.dynamic, max_window_s=max_window_s)
+        initializer = initializer_at(gauge, replace(CONFIG, dynamic=dynamic))
+        results = (add(initializer, flight, packet, 0.0, gauge) for packet in packets)
+        return FRAME_S * next((i for i, each in enumerate(results) if isinstance(each, KeyframeSmoother)), np.inf)
+
+    assert CONFIG.dynamic.window_s + 0.2 < start_s(CONFIG.dynamic.max_window_s) < start_s(CONFIG.dynamic.window_s)
+
+
+def test_frames_can_be_collected_before_an_attempt(make_flight: Callable[..., "SyntheticFlight"]) -> None:
+    flight, gauge = make_flight(0, rest_s=-5.0, duration_s=2.0), WorldOrigin(0.05, 0.1)
+    initializer, packets = initializer_at(gauge), packets_of(flight, round(CONFIG.dynamic.window_s / FRAME_S) + 1)
+    for packet in packets[:-1]:
+        initializer.collect(packet)
+    assert isinstance(add(initializer, flight, packets[-1], 0.0, gauge), KeyframeSmoother)

@@ -239,6 +239,26 @@ def noise_of(accel_bias_sigma_m_s2: float) -> NoiseModel:
     return NoiseModel(SIGMA, 2.0, BiasPrior(np.zeros(3), accel_bias_sigma_m_s2), GRAVITY_M_S2)
 
 
+def test_closed_form_is_exact_with_known_biases(make_flight: MakeFlight) -> None:
+    flight = make_flight(
+        0,
+        rest_s=-5.0,
+        duration_s=2.0,
+        noisy=False,
+        sampling="increment",
+        gyro_bias=BIAS,
+        accel_bias=np.array([0.15, -0.1, 0.2]),
+    )
+    gyro_bias, accel_bias = biases_of(flight)
+    views, truth = measured(window_of(flight), flight), flight.state_at(int(flight.frame_times_ns[0]))
+    noise = NoiseModel(SIGMA, 2.0, BiasPrior(accel_bias, 0.1), GRAVITY_M_S2)
+    found = solve_closed_form(views, gyro_bias, np.ones(len(views.tracks)), noise)
+    R = truth.T_world_imu[:3, :3]
+    np.testing.assert_allclose(found.velocity, R.T @ truth.velocity_m_s, atol=2e-3)
+    np.testing.assert_allclose(found.gravity, -GRAVITY_M_S2 * R[2], atol=2e-3)
+    np.testing.assert_array_equal(found.accel_bias, accel_bias)
+
+
 def test_accelerometer_bias_is_estimated(make_flight: MakeFlight) -> None:
     """With a wide prior it is exact; with a narrow one it is nearly zero, and the velocity is wrong instead."""
     vector = np.array([0.15, -0.1, 0.2])
