@@ -44,10 +44,10 @@ class DynamicInitializationConfig(Settings):
     """Settings of the dynamic initialization."""
 
     window_s: Annotated[float, Range(0.1, 30.0)] = 1.5
-    """Length of the first window with a single camera [s]."""
+    """Length of the window with a single camera [s]."""
     max_window_s: Annotated[float, Range(0.1, 30.0)] = 3.0
-    """Length up to which the window of a single camera grows until the state is observable [s]. The scale is observable
-    by the accelerations of the window, whose effect grows with the square of its length."""
+    """Largest length of a second window of a single camera [s], with all frames since the start, which is used if the
+    state is not observable in the first. The effect of an acceleration grows with the square of the time."""
     attempt_interval_s: Annotated[float, Range(0.01, 30.0)] = 0.25
     """Time between attempts [s]."""
     stereo_window_s: Annotated[float, Range(0.1, 30.0)] = 0.5

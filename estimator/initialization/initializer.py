@@ -146,18 +146,21 @@ class Initializer:
             return self._last_reason
         if stationary_s > 0.0:
             return self._static(self._since(t_ns, stationary_s), calibration, gauge, noise)
-        if is_stereo(self._window, c.dynamic):
-            needed_s = c.dynamic.stereo_window_s
-            window = self._since(t_ns, needed_s)
-        else:
-            needed_s, window = c.dynamic.window_s, self._since(t_ns, c.dynamic.max_window_s)
+        stereo = is_stereo(self._window, c.dynamic)
+        needed_s = c.dynamic.stereo_window_s if stereo else c.dynamic.window_s
+        window = self._since(t_ns, needed_s)
         span_s = (t_ns - window[0].t_ns + TIME_TOLERANCE_NS) * 1e-9
         if span_s < needed_s:
             return NotObservable(f"{span_s:.1f} s of frames; {needed_s:g} s are needed")
-        if t_ns - self._last_attempt_ns >= c.dynamic.attempt_interval_s * 1e9:
-            self._last_attempt_ns = t_ns
-            return self._dynamic(window, calibration, gauge, noise.params)
-        return self._last_reason
+        if t_ns - self._last_attempt_ns < c.dynamic.attempt_interval_s * 1e9:
+            return self._last_reason
+        self._last_attempt_ns = t_ns
+        result = self._dynamic(window, calibration, gauge, noise.params)
+        longer = window if stereo else self._since(t_ns, c.dynamic.max_window_s)
+        if isinstance(result, NotObservable) and len(longer) > len(window):
+            result = self._dynamic(longer, calibration, gauge, noise.params)
+        self._last_reason = result if isinstance(result, NotObservable) else self._last_reason
+        return result
 
     def _static(
         self, window: Sequence[FramePacket], calibration: Calibration, gauge: Gauge, noise: ImuNoiseEstimator
@@ -193,7 +196,6 @@ class Initializer:
             gravity_m_s2=params.gravity_m_s2,
         )
         if isinstance(start, NotObservable):
-            self._last_reason = start
             return start
         agreeing = [replace(packet, observations=packet.observations.without(start.outliers)) for packet in window]
         smoother, error_px = self._adjusted(
@@ -201,8 +203,7 @@ class Initializer:
         )
         if smoother is not None and error_px <= c.dynamic.max_residual_sigmas * c.dynamic.pixel_sigma:
             return smoother
-        self._last_reason = NotObservable(f"a median reprojection error of {error_px:.1f} px")
-        return self._last_reason
+        return NotObservable(f"a median reprojection error of {error_px:.1f} px")
 
     def _since(self, t_ns: int, span_s: float) -> list[FramePacket]:
         """Return the packets of the last ``span_s`` seconds."""
