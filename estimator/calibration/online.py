@@ -333,6 +333,8 @@ class OnlineCalibration:
             if part == _ROTATION and min_rotation is not None:
                 smallest = min_rotation
             elif part == _ROTATION:  # the limit is that of the root mean square over the cameras
+                is_first_in_motion = by_component and not is_known
+                smallest = max(smallest, self._config.min_motion_correction) if is_first_in_motion else smallest
                 smallest *= np.sqrt(len(self._given.rig.cameras))
             if is_known and refinement < 1.0:
                 smallest, sigmas = refinement * smallest, min(sigmas, REFINEMENT_SIGMAS)
