@@ -436,6 +436,14 @@ ESTIMATOR = (
         ("tests/estimator/test_health.py",),
     ),
     Mutant(
+        "calibration-small-rotation-in-motion",
+        "Online calibration: small rotations are corrected by windows in motion.",
+        "estimator/calibration/online.py",
+        "max(smallest, self._config.min_motion_correction) if is_first_in_motion else smallest",
+        "smallest",
+        ("tests/estimator/calibration/test_online.py",),
+    ),
+    Mutant(
         "start-outliers-not-named",
         "Initialization in motion: the inliers are returned as the outliers.",
         "estimator/initialization/dynamic.py",

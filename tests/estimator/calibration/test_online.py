@@ -290,3 +290,19 @@ def test_the_smallest_rotation_is_that_of_each_camera(rig: str, share: float, ap
     corrections = np.zeros(len(calibration._mean))
     corrections[COMMON_PARAMETERS::PARAMETERS_PER_CAMERA] = share * CalibrationConfig().rotation.min_correction
     assert calibration._apply(corrections, 1e-12 * np.eye(len(corrections))) == applied
+
+
+@pytest.mark.parametrize("rig", ["euroc", "euroc-stereo"])
+def test_first_rotation_by_windows_in_motion_is_larger(rig: str) -> None:
+    """Later corrections of rotations that are known to be wrong are as small as by windows from rest."""
+    calibration, config = OnlineCalibration(rig_named(rig)), CalibrationConfig()
+    certain = 1e-12 * np.eye(len(calibration._mean))
+
+    def is_applied(rotation_rad: float) -> bool:
+        corrections = np.zeros(len(calibration._mean))
+        corrections[COMMON_PARAMETERS::PARAMETERS_PER_CAMERA] = rotation_rad
+        return calibration._apply(corrections, certain, by_component=True)
+
+    first = config.min_motion_correction
+    assert not is_applied(0.95 * first) and is_applied(1.05 * first)
+    assert is_applied(1.05 * (first + config.rotation.refinement * config.rotation.min_correction))
