@@ -395,7 +395,7 @@ def test_exchanged_images_alone_are_no_loss() -> None:
         (0.01, 0.14, False, Health.TRACKING),
     ],
 )
-def test_accelerometer_bias_that_changes_with_the_images_is_a_loss(
+def test_accelerometer_bias_that_changes_with_images_is_a_loss(
     sigma_m_s2: float, change_m_s2: float, is_disconnected: bool, expected: Health
 ) -> None:
     triangulated, observations = landmarks_and_observations(40)
