@@ -50,8 +50,8 @@ class CalibrationConfig(Settings):
     """Smallest correction of the rotation between cameras by the matches of the first keyframe, over all rotation
     parameters together [rad]."""
     min_motion_correction: Annotated[float, Range(low=0.0)] = 0.01
-    """Smallest first correction of the rotations by windows that begin in motion [rad], as the root mean square over the
-    cameras. Smaller rotations have systematic causes there, which many windows share."""
+    """Smallest first correction of the rotations by windows that begin in motion [rad], as the root mean square over
+    the cameras. Smaller rotations have systematic causes there, which many windows share."""
     position_sigma_m: Annotated[float, Range(0.0, 1.0)] = 0.0005
     """Standard deviation of the positions of several cameras where `translation` is not estimated [m]. They are
     unknowns of the adjustment that are not corrected: errors that stereo matches have in common look like another
