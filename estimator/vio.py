@@ -192,6 +192,8 @@ class VisualInertialOdometry:
 
     def _track(self, tracking: Tracking, packet: FramePacket) -> Estimate:
         """Propagate the newest state to a frame, or make the frame a keyframe."""
+        if not tracking.monitor.is_disconnected(packet.t_ns):
+            self._restart = None
         if self._restart is not None:
             self._restart.collect(packet)
         stationary_s = self._zero_velocity.stationary_s
@@ -335,9 +337,8 @@ class VisualInertialOdometry:
         If the images show another place, it uses all frames that do.
         """
         monitor = tracking.monitor
-        initializer = self._restart if monitor.is_disconnected(packet.t_ns) else None
-        self._state = Initializing(initializer or self._initializer(monitor.is_trusted), monitor.is_trusted)
-        self._restart = None
+        initializer, self._restart = self._restart or self._initializer(monitor.is_trusted), None
+        self._state = Initializing(initializer, monitor.is_trusted)
         self._online_calibration.restart()
         if self._observer is not None:
             self._observer.lost()

@@ -423,8 +423,8 @@ ESTIMATOR = (
         "exchanged-images-forget-frames",
         "Loss after exchanged images: the initialization begins with the loss.",
         "estimator/vio.py",
-        "self._restart if monitor.is_disconnected(packet.t_ns) else None",
-        "None",
+        "self._restart or self._initializer(monitor.is_trusted), None",
+        "self._initializer(monitor.is_trusted), None",
         ("tests/estimator/test_carried.py",),
     ),
     Mutant(
