@@ -67,7 +67,7 @@ class DynamicInitializationConfig(Settings):
     min_parallax_sigmas: Annotated[float, Range(low=0.0)] = 30.0
     """Smallest median displacement of the features over the window, compensated for rotation, in standard deviations
     of an image observation."""
-    max_residual_sigmas: Annotated[float, Range(above=0.0)] = 3.0
+    max_residual_sigmas: Annotated[float, Range(above=0.0)] = 2.5
     """Largest root mean square residual of a landmark that agrees with the solution, in standard deviations of an image
     observation."""
     max_rotation_residual_sigmas: Annotated[float, Range(above=0.0)] = 0.75

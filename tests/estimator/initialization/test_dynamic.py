@@ -182,16 +182,16 @@ def test_every_threshold_can_reject_the_state(make_flight: MakeFlight) -> None:
 @pytest.mark.parametrize("share", [0.3, 0.45, 0.6, 0.7])
 @pytest.mark.parametrize("seed", range(3))
 def test_moving_landmarks_are_rejected(make_flight: MakeFlight, seed: int, share: float) -> None:
-    """A share of the landmarks oscillates with an amplitude of 0.5 m; if it is most of them, no state is wrong."""
+    """A share of the landmarks oscillates with an amplitude of 0.5 m; if it is most of them, there is no state."""
     flight = make_flight(seed, rest_s=-5.0, duration_s=2.0, moving_share=share)
     state = initialized(flight)
-    assert isinstance(state, NavState) or share > 0.5
+    assert isinstance(state, NavState) == (share < 0.5)
     if isinstance(state, NavState):
         truth = flight.truth_at(flight.frame_times_ns[:1])
         assert truth.velocity_m_s is not None
         velocity, tilt, gyro_bias = errors(state, truth)
         speed = float(np.linalg.norm(truth.velocity_m_s[0]))
-        assert velocity < 0.05 + 0.05 * speed and tilt < np.radians(1.5) and gyro_bias < (3e-3 if share < 0.5 else 0.01)
+        assert velocity < 0.05 + 0.05 * speed and tilt < np.radians(1.5) and gyro_bias < 3e-3
 
 
 @pytest.mark.parametrize("seconds", [0.05, 0.1, 0.3])
