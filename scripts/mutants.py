@@ -26,6 +26,7 @@ from mutant import Mutant
 from mutants_dense import DENSE
 from mutants_estimator import ESTIMATOR
 from mutants_evaluation import EVALUATION
+from mutants_initialization import INITIALIZATION
 from mutants_sfm import SFM
 from mutants_slam import SLAM
 
@@ -45,7 +46,7 @@ class Verdict(StrEnum):
     """The tests could not be run with it, or took too long."""
 
 
-MUTANTS = (*ESTIMATOR, *EVALUATION, *SFM, *DENSE, *SLAM)
+MUTANTS = (*ESTIMATOR, *INITIALIZATION, *EVALUATION, *SFM, *DENSE, *SLAM)
 
 
 def copy_checkout(target: Path) -> None:
