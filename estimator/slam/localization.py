@@ -55,6 +55,9 @@ class LocalizationConfig(Settings):
     """Smallest number of landmarks that agree with the pose."""
     min_inlier_ratio: Annotated[float, Range(0.0, 1.0)] = 0.5
     """Smallest share of the aligned patches that agree with the pose."""
+    min_view_ratio: Annotated[float, Range(0.0, 1.0)] = 0.33
+    """Smallest share of the landmarks in view that agree with the pose. If the prediction is wrong, some patches are
+    aligned with similar texture near it, and these may agree with a wrong pose; most patches are not found."""
     max_sigma_m: Annotated[float, Range(1e-4, 10.0)] = 0.05
     """Largest standard deviation of the position, in any direction [m]."""
     max_sigma_deg: Annotated[float, Range(0.001, 90.0)] = 0.33
@@ -150,12 +153,12 @@ class Localizer:
             T_match_query: (4, 4) Predicted pose of the query's IMU in the IMU frame of the match.
         """
         c, rig = self._config, images.rig
-        found = [self._aligned(patches, index, images, T_match_query) for index in np.unique(patches.camera).tolist()]
-        if not found:
-            return None
+        in_view = [self._in_view(patches, index, images, T_match_query) for index in range(len(rig.cameras))]
+        found = [self._aligned(patches, images.images[i], rig.cameras[i].model, *v) for i, v in enumerate(in_view)]
         rows = np.concatenate([each[0] for each in found])
         xy = np.concatenate([each[1] for each in found])
-        if len(rows) < c.min_inliers:
+        min_count = max(c.min_inliers, c.min_view_ratio * sum(len(each[0]) for each in in_view))
+        if len(rows) < min_count:
             return None
         camera = patches.camera[rows]
         old = Correspondences(patches.landmark[rows], patches.points_imu[rows], camera, xy, camera)
@@ -168,28 +171,28 @@ class Localizer:
             return None
         error, _ = whitened_errors(fit.T_match_query, old, new, views, c.pose)
         agrees = error < c.max_error_sigmas
-        if agrees.sum() < c.min_inliers or agrees.mean() < c.min_inlier_ratio:
+        if agrees.sum() < min_count or agrees.mean() < c.min_inlier_ratio:
             return None
         if not fit.is_certain(c.max_sigma_m, np.radians(c.max_sigma_deg)):
             return None
         observations = old[agrees].observed_by(query.number, c.pose.pixel_sigma)
         return RelativePose.measured(match.number, query.number, fit.T_match_query, fit.covariance, observations)
 
-    def _aligned(
+    def _in_view(
         self, patches: LandmarkPatches, index: int, images: KeyframeImages, T_match_query: Array
-    ) -> tuple[Integers, Array]:
-        """Return the landmarks (N,) of a camera that are found in its new image, and where (N, 2), normalized."""
+    ) -> tuple[Integers, Array, Array]:
+        """Return the landmarks (N,) of a camera that its new image is expected to show, where (N, 2) [px], and the
+        warps (N, 2, 2) of their patches.
+        """
         c, camera, image = self._config, images.rig.cameras[index], images.images[index]
         rows = np.flatnonzero(patches.camera == index)
-        if not image.size or not len(rows):
-            return rows[:0], np.zeros((0, 2))
         T_old = camera.T_imu_cam
         T_new_old = inverse_pose(T_match_query @ camera.T_imu_cam) @ T_old
         in_old = (patches.points_imu[rows] - T_old[:3, 3]) @ T_old[:3, :3]
         in_new = in_old @ T_new_old[:3, :3].T + T_new_old[:3, 3]
         rows, in_old, in_new = _select(self._is_visible(in_old, in_new, T_new_old), rows, in_old, in_new)
-        if not len(rows):
-            return rows, np.zeros((0, 2))
+        if not image.size or not len(rows):
+            return rows[:0], np.zeros((0, 2)), np.zeros((0, 2, 2))
         pixels, warp = _projection(camera.model, patches.pixels[rows], in_old, T_new_old)
         reach = c.patches.side_px // 2 + 1
         size = np.array(image.shape[::-1])
@@ -197,15 +200,21 @@ class Localizer:
         is_usable = np.all((pixels >= reach) & (pixels < size - reach), axis=1)
         is_usable &= (scale < c.max_scale) & (scale > 1.0 / c.max_scale)
         rows, pixels, warp = _select(is_usable, rows, pixels, warp)
+        return rows, pixels, warp
+
+    def _aligned(
+        self, patches: LandmarkPatches, image: Image, camera: CameraModel, rows: Integers, pixels: Array, warp: Array
+    ) -> tuple[Integers, Array]:
+        """Return the landmarks (N,) that are found near their predicted positions, and where (N, 2), normalized."""
         if not len(rows):
             return rows, np.zeros((0, 2))
         space, centres = _atlas(patches.tiles[rows], patches.pixels[rows])
         templates = self._aligner.extract(self._aligner.scale_space(space), centres)
         templates = type(templates)(templates.templates, templates.rows, warp)
         aligned = self._aligner.align(self._aligner.scale_space(image), templates, pixels)
-        is_found = aligned.valid & (np.linalg.norm(aligned.pixels - pixels, axis=1) < c.max_shift_px)
+        is_found = aligned.valid & (np.linalg.norm(aligned.pixels - pixels, axis=1) < self._config.max_shift_px)
         rows, found = _select(is_found, rows, aligned.pixels)
-        return rows, camera.model.normalize(found)
+        return rows, camera.normalize(found)
 
     def _is_visible(self, in_old: Array, in_new: Array, T_new_old: Array) -> Mask:
         """Return which landmarks, given in both camera frames, are seen from similar directions."""

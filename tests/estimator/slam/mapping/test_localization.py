@@ -109,6 +109,23 @@ def test_wrong_prediction_is_refused(views: Views) -> None:
     assert Localizer().localize(views.second, views.images[1], views.first, views.patches, far) is None
 
 
+def test_few_of_the_landmarks_in_view_are_no_place(views: Views) -> None:
+    """With a wrong prediction, a few patches may agree by chance; here, most of the image shows nothing."""
+
+    def localized(visible_rows: int, config: LocalizationConfig) -> RelativePose | None:
+        image = views.images[1].images[0].copy()
+        image[visible_rows:] = 128
+        images = replace(views.images[1], images=(image,))
+        return Localizer(config).localize(views.second, images, views.first, views.patches, MOTION)
+
+    whole = localized(480, LocalizationConfig())
+    assert whole is not None
+    half, few = localized(300, LocalizationConfig()), localized(140, LocalizationConfig(min_view_ratio=0.0))
+    assert half is not None and len(half.observations) > 0.4 * len(whole.observations)
+    assert few is not None and 15 <= len(few.observations) < 0.3 * len(whole.observations)
+    assert localized(140, LocalizationConfig()) is None
+
+
 def test_an_uncertain_pose_is_refused(views: Views) -> None:
     """Landmarks close together give it with larger standard deviations than all of them."""
 
