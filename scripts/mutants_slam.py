@@ -186,6 +186,14 @@ SLAM = (
         ("tests/estimator/slam/mapping/test_localization.py::test_an_uncertain_pose_is_refused",),
     ),
     Mutant(
+        "localization-in-few-landmarks",
+        "Localization: landmarks in view that are not found do not count.",
+        "estimator/slam/localization.py",
+        "max(c.min_inliers, c.min_view_ratio * sum(len(each[0]) for each in in_view))",
+        "c.min_inliers",
+        ("tests/estimator/slam/mapping/test_localization.py::test_few_of_the_landmarks_in_view_are_no_place",),
+    ),
+    Mutant(
         "connected-by-few-features",
         "Image connection: eight features connect two keyframes, however many there are.",
         "estimator/image_connection.py",
