@@ -13,6 +13,7 @@ import numpy.typing as npt
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.best_path import UNKNOWN, covariances_of, covariances_with_loops, with_position
 from dronevio.estimator.slam.keyframe import MapKeyframe
+from dronevio.estimator.slam.map_frame import aligned_with
 from dronevio.estimator.slam.odometry_factors import (
     OdometryNode,
     RelativePose,
@@ -88,6 +89,9 @@ class Submap:
     both in the IMU frame."""
     history: PoseGraph
     """The graph with all keyframes and factors, also the culled ones, whose poses are those when they were culled."""
+    first_poses: Mapping[int, Array]
+    """Poses (4, 4) of the keyframes in the map frame when they joined it, also of the culled ones. Without them, as for
+    saved keyframes, bundle adjustment keeps the pose of the first keyframe."""
     waiting: int = 0
     """Number of loops, the last ones of the graph, that wait for an optimization."""
     optimized_ns: int | None = None
@@ -99,12 +103,14 @@ class Submap:
     def begin(cls, number: int, estimate: KeyframeEstimate, track: int) -> "Submap":
         """Return the submap of the first keyframe of a track."""
         graph = PoseGraph(number, estimate.covariance, {number: estimate.T_odom_imu})
-        return cls(OptimizedGraph(graph, frozenset()), frozenset({track}), {number: estimate.covariance}, graph)
+        return cls(
+            OptimizedGraph(graph, frozenset()), frozenset({track}), {number: estimate.covariance}, graph, graph.poses
+        )
 
     @classmethod
     def of_graph(cls, graph: PoseGraph, track: int) -> "Submap":
         """Return the submap of a saved graph as one track, whose loops are all accepted."""
-        return cls(OptimizedGraph(graph, frozenset()), frozenset({track}), covariances_of(graph), graph)
+        return cls(OptimizedGraph(graph, frozenset()), frozenset({track}), covariances_of(graph), graph, {})
 
     @property
     def graph(self) -> PoseGraph:
@@ -142,8 +148,8 @@ class Submap:
         if factors.position is not None:
             covariance = min(covariance, with_position(covariance, factors.position, T), key=position_variance)
         solution = replace(self.solution, graph=graph)
-        covariances = {**self.covariances, number: covariance}
-        return node, replace(self, solution=solution, covariances=covariances, history=history)
+        covariances, first = {**self.covariances, number: covariance}, {**self.first_poses, number: T}
+        return node, replace(self, solution=solution, covariances=covariances, history=history, first_poses=first)
 
     def with_loops(self, loops: Sequence[RelativePose]) -> "Submap":
         """Return the submap with loops that wait for the next optimization."""
@@ -166,7 +172,7 @@ class Submap:
         return replace(self, solution=solution, covariances=covariances, waiting=0, optimized_ns=t_ns)
 
     def adjusted(self, poses: Mapping[int, Array], adjustment: Adjustment, t_ns: int) -> "Submap":
-        """Return the submap with keyframes where bundle adjustment has put them, optimized.
+        """Return the submap with keyframes where bundle adjustment has put them, optimized; see `map_frame`.
 
         Args:
             poses: Adjusted poses (4, 4) of keyframes of this submap, which may be culled.
@@ -175,6 +181,7 @@ class Submap:
         """
         scale = adjustment.scale / self._scale_of(adjustment.first)
         known = -1 if self.adjustment is None else self.adjustment.newest
+        poses = aligned_with(poses, self.first_poses)
         graph, history = (remeasured(each, poses, scale, known) for each in (self.graph, self.whole_graph))
         solution = replace(self.solution, graph=graph)
         return replace(self, solution=solution, history=history, adjustment=adjustment).optimized(t_ns)
@@ -202,7 +209,8 @@ class Submap:
         unconnected = {**one.covariances, **dict.fromkeys(two.covariances, UNKNOWN)}
         covariances = covariances_with_loops(solution.graph, unconnected, solution.without_rejected.loops)
         history = joined_graphs(one.whole_graph, two.whole_graph, T_one_two).with_loops(loops)
-        return Submap(solution, self.tracks | other.tracks, covariances, history, 0, t_ns, one.adjustment)
+        tracks, first_poses = self.tracks | other.tracks, one.first_poses
+        return Submap(solution, tracks, covariances, history, first_poses, 0, t_ns, one.adjustment)
 
     def without(self, number: int, previous: OdometryNode, following: KeyframeEstimate) -> "Submap":
         """Return the submap without a keyframe, which stays in the history.
