@@ -275,10 +275,11 @@ def adjusted_twice_as_large(odometry_flight: "OdometryFlight") -> tuple[Submap, 
 
 def test_adjusted_poses_are_the_optimum_of_the_graph(odometry_flight: "OdometryFlight") -> None:
     before, after = adjusted_twice_as_large(odometry_flight)
+    expected = {n: np.block([[T[:3, :3], 2.0 * T[:3, 3:]], [T[3:]]]) for n, T in before.graph.poses.items()}
     for graph in (after.graph, after.optimized(0).graph, after.whole_graph):
-        for number in range(ADJUSTED):
-            expected = 2.0 * before.graph.poses[number][:3, 3]
-            np.testing.assert_allclose(graph.poses[number][:3, 3], expected, atol=1e-5)
+        moved = {number: T @ inverse_pose(expected[number]) for number, T in graph.poses.items() if number < ADJUSTED}
+        for T in moved.values():  # the same for all: the map frame has moved
+            np.testing.assert_allclose(T, moved[0], atol=1e-5)
     # The later ones follow with the new scale, also those that are added after the adjustment.
     estimates = odometry_flight.marginalized
     node = replace(first_node(SPLIT - 1, estimates[SPLIT - 1]), first=0)
@@ -288,7 +289,8 @@ def test_adjusted_poses_are_the_optimum_of_the_graph(odometry_flight: "OdometryF
         found = (inverse_pose(extended.graph.poses[ADJUSTED - 1]) @ extended.graph.poses[number])[:3, 3]
         np.testing.assert_allclose(found, 2.0 * expected, atol=1e-5)
     again = after.adjusted(after.graph.poses, Adjustment(ADJUSTED - 1, 0, 2.0), 0)
-    np.testing.assert_allclose(again.graph.poses[SPLIT - 1], after.graph.poses[SPLIT - 1], atol=1e-5)
+    whole = [inverse_pose(submap.graph.poses[0]) @ submap.graph.poses[SPLIT - 1] for submap in (after, again)]
+    np.testing.assert_allclose(whole[1], whole[0], atol=1e-5)
 
 
 def test_adjusted_odometry_is_stiffer_once(odometry_flight: "OdometryFlight") -> None:
@@ -340,8 +342,23 @@ def test_culled_keyframes_are_adjusted_too(odometry_flight: "OdometryFlight") ->
     for T in poses.values():
         T[:3, 3] *= 2.0
     after = culled.adjusted(poses, Adjustment(ADJUSTED - 1, 0, 2.0), 0)
-    np.testing.assert_array_equal(after.whole_graph.poses[20], poses[20])
-    np.testing.assert_allclose(after.graph.poses[21], poses[21], atol=1e-5)
+    moved = after.graph.poses[0] @ inverse_pose(poses[0])
+    np.testing.assert_allclose(after.whole_graph.poses[20], moved @ poses[20], atol=1e-5)
+    np.testing.assert_allclose(after.graph.poses[21], moved @ poses[21], atol=1e-5)
+
+
+def test_the_map_stays_where_it_was_published(odometry_flight: "OdometryFlight") -> None:
+    """Bundle adjustment doubles the map: the middle of the adjusted keyframes stays, not the first one."""
+    before, after = adjusted_twice_as_large(odometry_flight)
+    old, new = (
+        np.array([submap.graph.poses[number][:3, 3] for number in range(ADJUSTED)]) for submap in (before, after)
+    )
+    np.testing.assert_allclose(new.mean(axis=0), old.mean(axis=0), atol=0.02)
+    assert np.linalg.norm(new[0] - old[0]) > 0.1
+    assert after.first_poses == before.first_poses
+    # A later adjustment is aligned with the poses that were published, not with those of this one.
+    back = after.adjusted({n: before.graph.poses[n] for n in range(ADJUSTED)}, Adjustment(ADJUSTED - 1, 0, 1.0), 0)
+    np.testing.assert_allclose(back.graph.poses[5], before.graph.poses[5], atol=1e-5)
 
 
 def test_loops_with_fixed_keyframes_are_judged() -> None:

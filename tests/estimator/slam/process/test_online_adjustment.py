@@ -22,13 +22,15 @@ from dronevio.estimator.slam.mapping import MappingConfig
 from dronevio.estimator.slam.schedule import AdjustmentScheduleConfig
 from dronevio.estimator.types import Calibration
 from dronevio.models.imu import ImuSamples
+from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import NavState
-from tests.estimator.slam.process.conftest import DRIFT_M, PLACES, keyframe, one_camera
+from tests.estimator.slam.process.conftest import PLACES, keyframe, one_camera
 
 Array = npt.NDArray[np.float64]
 
-SHIFT = np.array([0.0, 0.0, 0.5])
-"""Where the adjustment of these tests moves all keyframes [m]."""
+TURN = exp_so3(np.array([0.2, 0.0, 0.0]))
+"""Rotation of all keyframes by the adjustment of these tests. Its axis is horizontal, and the choice of the map frame
+leaves the inclination."""
 DELAY = 3
 """Number of keyframes after which an adjustment takes effect."""
 CONFIG = SlamConfig(
@@ -38,8 +40,8 @@ CONFIG = SlamConfig(
 
 
 @dataclass
-class ShiftingAdjuster:
-    """An adjuster that moves all keyframes by the same distance."""
+class TurningAdjuster:
+    """An adjuster that rotates all keyframes together."""
 
     cpu_s: float = 0.0
     started: list[AdjustmentInputs] = field(default_factory=list)
@@ -49,9 +51,8 @@ class ShiftingAdjuster:
         self.started.append(inputs)
 
     def result(self) -> dict[int, Array] | None:
-        """Return the keyframes of the last measurements, moved."""
-        T = np.eye(4)
-        T[:3, 3] = SHIFT
+        """Return the keyframes of the last measurements, rotated."""
+        T = pose_matrix(TURN, np.zeros(3))
         return {each.number: T @ each.T_map_imu for each in self.started[-1].keyframes}
 
 
@@ -71,15 +72,15 @@ def laps(count: int) -> list[MarginalizedKeyframe]:
     return [measured(keyframe(rig, place, lap)) for lap in range(count) for place in range(PLACES)]
 
 
-def built(messages: list[MarginalizedKeyframe], config: SlamConfig = CONFIG) -> tuple[ShiftingAdjuster, list[Array]]:
-    """Return the adjuster after a flight, and the corrections of the odometry at its keyframes."""
-    adjuster = ShiftingAdjuster()
+def built(messages: list[MarginalizedKeyframe], config: SlamConfig = CONFIG) -> tuple[TurningAdjuster, list[Array]]:
+    """Return the adjuster after a flight, and the rotations (3, 3) of the odometry frame at its keyframes."""
+    adjuster = TurningAdjuster()
     builder = MapBuilder(one_camera(), config, None, adjuster)
     found = []
     for message in messages:
         correction = builder.process(message)
         assert isinstance(correction, Correction) and correction.T_map_odom is not None
-        found.append(correction.T_map_odom[:3, 3])
+        found.append(correction.T_map_odom[:3, :3])
     return adjuster, found
 
 
@@ -92,10 +93,11 @@ def test_adjustment_takes_effect_after_its_delay() -> None:
     assert begun > PLACES and len(inputs.loops) >= 2
     assert all(len(loop.observations) for loop in inputs.loops)
     np.testing.assert_array_equal(inputs.imu.t_ns, [each.estimate.t_ns for each in messages[:begun]])
-    shift = np.array(corrections) - np.array(expected)
+    turn = np.array(corrections) @ np.swapaxes(expected, 1, 2)
     effect = begun + DELAY - 1  # row of the keyframe at which it is due
-    np.testing.assert_allclose(shift[:effect], 0.0, atol=1e-9)
-    np.testing.assert_allclose(shift[effect:], np.tile(SHIFT, (len(shift) - effect, 1)), atol=0.5 * DRIFT_M)
+    np.testing.assert_allclose(turn[:effect], np.tile(np.eye(3), (effect, 1, 1)), atol=1e-9)
+    assert len(turn) > effect
+    np.testing.assert_allclose(turn[effect:, 2], np.tile(TURN[2], (len(turn) - effect, 1)), atol=0.002)
 
 
 def test_velocities_are_turned_into_the_map_frame() -> None:
@@ -112,7 +114,7 @@ def test_map_without_measurements_is_not_adjusted() -> None:
 
 
 def test_adjustment_of_a_map_that_was_given_up_has_no_effect() -> None:
-    adjuster = ShiftingAdjuster()
+    adjuster = TurningAdjuster()
     config = replace(CONFIG, adjustment_schedule=replace(CONFIG.adjustment_schedule, keyframes=30))
     builder = MapBuilder(one_camera(), config, None, adjuster)
     for message in laps(2):
@@ -124,7 +126,7 @@ def test_adjustment_of_a_map_that_was_given_up_has_no_effect() -> None:
 
 
 def test_a_lost_track_begins_no_adjustment() -> None:
-    adjuster = ShiftingAdjuster()
+    adjuster = TurningAdjuster()
     builder = MapBuilder(one_camera(), CONFIG, None, adjuster)
     first, second = laps(1), [measured(keyframe(one_camera(), 20 + place, 1)) for place in range(PLACES)]
     for message in first:
