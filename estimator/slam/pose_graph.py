@@ -43,7 +43,7 @@ class PoseGraph:
     """
 
     first: int
-    """Number of the keyframe whose yaw and position are those of the map frame."""
+    """Number of the keyframe whose pose has a prior, also on yaw and position: that of the graph."""
     first_covariance: Array
     """(6, 6) Prior covariance of its pose: δθ, then δp, both in the IMU frame."""
     poses: Mapping[int, Array]
