@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.rotation import rotation_z, yaw_rad_from_matrix
+from dronevio.models.rotation import inverse_pose, log_so3, rotation_z, yaw_rad_from_matrix
 
 Array = npt.NDArray[np.float64]
 
@@ -19,25 +19,39 @@ LEVER_M = 1.0
 determined without motion, too."""
 
 
-def aligned_with(poses: Mapping[int, Array], reference: Mapping[int, Array]) -> dict[int, Array]:
-    """Return poses, rotated about the vertical and translated such that they are nearest to those of a reference.
+def frame_change(poses: Mapping[int, Array], reference: Mapping[int, Array]) -> Array:
+    """Return the rotation about the vertical and translation (4, 4) that move poses as near as possible to a reference.
 
     Nearest are, by least squares, the origins and the points one metre along the axes of the poses in both.
 
     Args:
         poses: Poses (4, 4) by the numbers of keyframes.
-        reference: Poses (4, 4) by numbers; those without a counterpart are not used.
+        reference: Poses (4, 4) by numbers; those without a counterpart are not used. Without any, nothing is moved.
     """
-    common = sorted(poses.keys() & reference.keys())
+    common, T = sorted(poses.keys() & reference.keys()), np.eye(4)
     if not common:
-        return dict(poses)
-    old, new = (np.stack([source[number] for number in common]) for source in (reference, poses))
-    old_points, new_points = (_points(T) for T in (old, new))
-    old_mean, new_mean = old_points.mean(axis=0), new_points.mean(axis=0)
-    T = np.eye(4)
-    T[:3, :3] = rotation_z(yaw_rad_from_matrix((old_points - old_mean).T @ (new_points - new_mean)))
+        return T
+    old, new = (_points(np.stack([source[number] for number in common])) for source in (reference, poses))
+    old_mean, new_mean = old.mean(axis=0), new.mean(axis=0)
+    T[:3, :3] = rotation_z(yaw_rad_from_matrix((old - old_mean).T @ (new - new_mean)))
     T[:3, 3] = old_mean - T[:3, :3] @ new_mean
-    return {number: T @ pose for number, pose in poses.items()}
+    return T
+
+
+def with_frame_offset(covariance: Array, T_map_imu: Array, T_map_first: Array) -> Array:
+    """Return the covariance of a pose where yaw and position of the first pose are known, with the offset of the map.
+
+    The pose in the map differs by a known step from that in the frame of the first pose, which has the covariance. The
+    second moment of the error is the sum of both.
+
+    Args:
+        covariance: (6, 6) Covariance in the frame of the first pose: δθ, then δp, both in the IMU frame.
+        T_map_imu: (4, 4) The pose in the map.
+        T_map_first: (4, 4) Pose of the frame of the first pose in the map.
+    """
+    step = inverse_pose(T_map_imu) @ inverse_pose(T_map_first) @ T_map_imu
+    offset = np.concatenate([log_so3(step[:3, :3]), step[:3, 3]])
+    return np.asarray(covariance + np.outer(offset, offset))
 
 
 def _points(T: Array) -> Array:

@@ -243,7 +243,7 @@ class Mapper:
         self._candidate = T_map_odom
         if candidate is None or not poses_agree(candidate @ estimate.T_odom_imu, T_map_imu):
             return None
-        covariance = propagated(home.covariances[match.match], place, None)
+        covariance = propagated(home.covariance_in_map(match.match), place, None)
         self._located = Correction(T_map_odom, estimate, covariance, self._track)
         return replace(self._located, is_joined=True)
 
@@ -274,11 +274,12 @@ class Mapper:
         ]
         times = ((self._keyframes[loop.first].t_ns, self._keyframes[loop.second].t_ns) for loop in closed)
         times_ns = tuple((then, now) for then, now in times if then > LAST_KNOWN_NS)
+        covariance = submap.covariance_in_map(keyframe.number)
         if self._is_home:
             T_map_odom = submap.graph.poses[keyframe.number] @ inverse_pose(estimate.T_odom_imu)
-            correction = Correction(T_map_odom, estimate, submap.covariances[keyframe.number], self._track)
+            correction = Correction(T_map_odom, estimate, covariance, self._track)
         else:
-            correction = self._located or Correction(None, estimate, submap.covariances[keyframe.number], self._track)
+            correction = self._located or Correction(None, estimate, covariance, self._track)
         is_joined = correction.T_map_odom is not None and not was_known
         return replace(
             correction, is_joined=is_joined, loops=closed, loop_times_ns=times_ns, judged_loops=submap.judged

@@ -5,7 +5,7 @@ new ground, not with time. All keyframes and factors remain in the history, for 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ import numpy.typing as npt
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.best_path import UNKNOWN, covariances_of, covariances_with_loops, with_position
 from dronevio.estimator.slam.keyframe import MapKeyframe
-from dronevio.estimator.slam.map_frame import aligned_with
+from dronevio.estimator.slam.map_frame import frame_change, with_frame_offset
 from dronevio.estimator.slam.odometry_factors import (
     OdometryNode,
     RelativePose,
@@ -85,19 +85,21 @@ class Submap:
     tracks: frozenset[int]
     """Numbers of the tracks."""
     covariances: Mapping[int, Array]
-    """Covariances (6, 6) of the keyframes' poses in the map, by the best path through odometry and loops: δθ, then δp,
-    both in the IMU frame."""
+    """Covariances (6, 6) of the keyframes' poses, by the best path through odometry and loops, where yaw and position
+    of the first pose are known: δθ, then δp, both in the IMU frame."""
     history: PoseGraph
     """The graph with all keyframes and factors, also the culled ones, whose poses are those when they were culled."""
     first_poses: Mapping[int, Array]
-    """Poses (4, 4) of the keyframes in the map frame when they joined it, also of the culled ones. Without them, as for
-    saved keyframes, bundle adjustment keeps the pose of the first keyframe."""
+    """Poses (4, 4) of the keyframes in the map frame when they joined it, also of the culled ones. Saved keyframes have
+    none."""
     waiting: int = 0
     """Number of loops, the last ones of the graph, that wait for an optimization."""
     optimized_ns: int | None = None
     """Time of the newest keyframe at the last optimization [ns]; None before the first one."""
     adjustment: Adjustment | None = None
     """The last bundle adjustment; None before the first one. After it, the map frame is no odometry frame any more."""
+    T_map_first: Array = field(default_factory=lambda: np.eye(4))
+    """(4, 4) Pose in the map of the frame in which the first keyframe keeps its yaw and position; see `map_frame`."""
 
     @classmethod
     def begin(cls, number: int, estimate: KeyframeEstimate, track: int) -> "Submap":
@@ -181,10 +183,17 @@ class Submap:
         """
         scale = adjustment.scale / self._scale_of(adjustment.first)
         known = -1 if self.adjustment is None else self.adjustment.newest
-        poses = aligned_with(poses, self.first_poses)
+        T = frame_change(poses, self.first_poses)
+        poses = {number: T @ pose for number, pose in poses.items()}
         graph, history = (remeasured(each, poses, scale, known) for each in (self.graph, self.whole_graph))
         solution = replace(self.solution, graph=graph)
-        return replace(self, solution=solution, history=history, adjustment=adjustment).optimized(t_ns)
+        T_map_first = T @ self.T_map_first
+        adjusted = replace(self, solution=solution, history=history, adjustment=adjustment, T_map_first=T_map_first)
+        return adjusted.optimized(t_ns)
+
+    def covariance_in_map(self, number: int) -> Array:
+        """Return the covariance (6, 6) of a keyframe's pose in the map; see `with_frame_offset`."""
+        return with_frame_offset(self.covariances[number], self.graph.poses[number], self.T_map_first)
 
     def joined(
         self, other: "Submap", loops: Sequence[RelativePose], t_ns: int, *, other_stays: bool
@@ -209,8 +218,9 @@ class Submap:
         unconnected = {**one.covariances, **dict.fromkeys(two.covariances, UNKNOWN)}
         covariances = covariances_with_loops(solution.graph, unconnected, solution.without_rejected.loops)
         history = joined_graphs(one.whole_graph, two.whole_graph, T_one_two).with_loops(loops)
-        tracks, first_poses = self.tracks | other.tracks, one.first_poses
-        return Submap(solution, tracks, covariances, history, first_poses, 0, t_ns, one.adjustment)
+        tracks = self.tracks | other.tracks
+        whole = replace(one, solution=solution, tracks=tracks, covariances=covariances, history=history)
+        return replace(whole, waiting=0, optimized_ns=t_ns)
 
     def without(self, number: int, previous: OdometryNode, following: KeyframeEstimate) -> "Submap":
         """Return the submap without a keyframe, which stays in the history.

@@ -354,11 +354,20 @@ def test_the_map_stays_where_it_was_published(odometry_flight: "OdometryFlight")
         np.array([submap.graph.poses[number][:3, 3] for number in range(ADJUSTED)]) for submap in (before, after)
     )
     np.testing.assert_allclose(new.mean(axis=0), old.mean(axis=0), atol=0.02)
-    assert np.linalg.norm(new[0] - old[0]) > 0.1
     assert after.first_poses == before.first_poses
-    # A later adjustment is aligned with the poses that were published, not with those of this one.
-    back = after.adjusted({n: before.graph.poses[n] for n in range(ADJUSTED)}, Adjustment(ADJUSTED - 1, 0, 1.0), 0)
+    first = inverse_pose(after.T_map_first) @ after.graph.poses[0]
+    np.testing.assert_allclose(first, before.graph.poses[0], atol=1e-5)
+    offset_m = float(np.linalg.norm(new[0] - old[0]))
+    assert offset_m > 0.1
+    added = after.covariance_in_map(0) - before.covariance_in_map(0)
+    np.testing.assert_allclose(np.trace(added[3:, 3:]), offset_m**2, rtol=0.02)
+    # A later adjustment is aligned with the poses that were published, not with those of this one. Its first keyframe
+    # is where this one has left it.
+    T = after.graph.poses[0] @ inverse_pose(before.graph.poses[0])
+    small = {number: T @ before.graph.poses[number] for number in range(ADJUSTED)}
+    back = after.adjusted(small, Adjustment(ADJUSTED - 1, 0, 1.0), 0)
     np.testing.assert_allclose(back.graph.poses[5], before.graph.poses[5], atol=1e-5)
+    np.testing.assert_allclose(back.T_map_first, np.eye(4), atol=1e-5)
 
 
 def test_loops_with_fixed_keyframes_are_judged() -> None:
