@@ -9,8 +9,10 @@ from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix, rotatio
 
 Array = npt.NDArray[np.float64]
 
-RNG = np.random.default_rng(4)
-POSES = {n: pose_matrix(exp_so3(RNG.normal(size=3)), RNG.uniform(-5.0, 5.0, 3)) for n in range(0, 40, 2)}
+POSES = {
+    n: pose_matrix(exp_so3(np.sin([0.7 * n, 1.1 * n, 1.7 * n])), 4.0 * np.sin([0.3 * n, 0.2 * n, 0.9 * n]))
+    for n in range(0, 40, 2)
+}
 """Poses of keyframes, of which every other one was culled."""
 MOVED = pose_matrix(rotation_z(np.array(0.3)), np.array([2.0, -1.0, 0.5]))
 
