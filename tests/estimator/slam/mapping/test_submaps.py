@@ -275,9 +275,9 @@ def adjusted_twice_as_large(odometry_flight: "OdometryFlight") -> tuple[Submap, 
 
 def test_adjusted_poses_are_the_optimum_of_the_graph(odometry_flight: "OdometryFlight") -> None:
     before, after = adjusted_twice_as_large(odometry_flight)
-    expected = {n: np.block([[T[:3, :3], 2.0 * T[:3, 3:]], [T[3:]]]) for n, T in before.graph.poses.items()}
+    doubled = {n: np.block([[T[:3, :3], 2.0 * T[:3, 3:]], [T[3:]]]) for n, T in before.graph.poses.items()}
     for graph in (after.graph, after.optimized(0).graph, after.whole_graph):
-        moved = {number: T @ inverse_pose(expected[number]) for number, T in graph.poses.items() if number < ADJUSTED}
+        moved = {number: T @ inverse_pose(doubled[number]) for number, T in graph.poses.items() if number < ADJUSTED}
         for T in moved.values():  # the same for all: the map frame has moved
             np.testing.assert_allclose(T, moved[0], atol=1e-5)
     # The later ones follow with the new scale, also those that are added after the adjustment.
