@@ -41,8 +41,8 @@ def frame_change(poses: Mapping[int, Array], reference: Mapping[int, Array]) -> 
 def with_frame_offset(covariance: Array, T_map_imu: Array, T_map_first: Array) -> Array:
     """Return the covariance of a pose where yaw and position of the first pose are known, with the offset of the map.
 
-    The pose in the map differs by a known step from that in the frame of the first pose, which has the covariance. The
-    second moment of the error is the sum of both.
+    The pose in the map differs by a known transformation from that in the frame of the first pose. The second moment of
+    the error is the covariance, plus the outer product of this offset.
 
     Args:
         covariance: (6, 6) Covariance in the frame of the first pose: δθ, then δp, both in the IMU frame.

@@ -60,7 +60,7 @@ def test_only_common_keyframes_count() -> None:
 
 
 def test_offset_of_the_map_is_part_of_the_covariance() -> None:
-    """A map that was moved by 3 cm along x and turned by 0.01 rad, at a pose 2 m along y of the vertical axis."""
+    """A map that was moved by 3 cm along x and turned by 0.01 rad, at a position 2 m along y from its origin."""
     T_map_imu = pose_matrix(rotation_z(np.array(np.pi / 2.0)), np.array([0.0, 2.0, 0.0]))
     T_map_first = pose_matrix(rotation_z(np.array(0.01)), np.array([0.03, 0.0, 0.0]))
     found = with_frame_offset(1e-6 * np.eye(6), T_map_imu, T_map_first)
