@@ -210,6 +210,14 @@ SLAM = (
         ("tests/estimator/slam/mapping/test_submaps.py::test_the_map_stays_where_it_was_published",),
     ),
     Mutant(
+        "map-frame-of-the-joined-track",
+        "Submap: after a join, the map frame is that of the track that is moved.",
+        "estimator/slam/submap.py",
+        "whole = replace(one, ",
+        "whole = replace(two, ",
+        ("tests/estimator/slam/mapping/test_submaps.py::test_the_submap_that_stays_keeps_its_frame",),
+    ),
+    Mutant(
         "map-frame-certain",
         "Map frame: the covariance does not contain the offset of the map.",
         "estimator/slam/map_frame.py",

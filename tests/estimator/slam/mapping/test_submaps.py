@@ -180,6 +180,21 @@ def test_contradictory_loops_do_not_join_tracks(odometry_flight: "OdometryFlight
         assert alone is not None and alone.closed_loops == (loop,) and alone.tracks == {0, 1}
 
 
+@pytest.mark.parametrize("other_stays", [True, False])
+def test_the_submap_that_stays_keeps_its_frame(
+    odometry_flight: "OdometryFlight", tracks: Tracks, other_stays: bool
+) -> None:
+    first, second = (
+        replace(Submap.begin(10 * i, track[0], i), T_map_first=pose_matrix(np.eye(3), np.full(3, 0.1 * i)))
+        for i, track in enumerate(tracks)
+    )
+    T_old, T_new = (odometry_flight.true_poses[track[0].t_ns] for track in tracks)
+    loop = RelativePose(0, 10, inverse_pose(T_old) @ T_new, 1e-8 * np.eye(6))
+    joined, stays = second.joined(first, [loop], 0, other_stays=other_stays), first if other_stays else second
+    assert joined is not None
+    assert joined.first_poses == stays.first_poses and joined.T_map_first is stays.T_map_first
+
+
 def located(mapper: Mapper, estimates: Sequence[KeyframeEstimate]) -> list[Correction | None]:
     """Return the corrections by keyframes without images that are still in the window."""
     return [mapper.locate(estimate, KeyframeView(NO_KEYFRAME_FEATURES)) for estimate in estimates]
