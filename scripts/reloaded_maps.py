@@ -1,0 +1,170 @@
+"""Reloaded maps: flights that begin with the map of another flight in the same world, as a Markdown table.
+
+The first recording is mapped, and its final map is saved in a temporary file. Each further recording is estimated with
+that map, from its first frame on, and again from 10 s later on, where the vehicle is in the air. The final path of the
+first flight is aligned with the ground truth by yaw and position, and this alignment relates the frame of the file to
+the world: the errors of all flights in the map frame are those after it. Only the odometry is aligned by itself::
+
+    .venv/bin/dronevio fly --scenario room-square --seed 0 --out recordings/mapped
+    .venv/bin/dronevio fly --scenario room-square --seed 1 --world-seed 0 --light-seed 1 --out recordings/light
+    .venv/bin/python scripts/reloaded_maps.py recordings/mapped recordings/light
+"""
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+import tyro
+from markdown_tables import table, text
+
+from dronevio.api import estimate
+from dronevio.estimator.slam.visual_slam import VisualSlam
+from dronevio.eval.metrics.alignment import Alignment, align
+from dronevio.eval.metrics.association import interpolate
+from dronevio.eval.run import EstimatorRun
+from dronevio.excerpts import excerpt_of
+from dronevio.models.errors import ConfigError
+from dronevio.models.protocols import Recording
+from dronevio.models.recordings.open import open_recording
+from dronevio.models.recordings.scenario_file import world_of
+from dronevio.models.state import Trajectory
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ReloadedMapsCommand:
+    """Measure how flights find their way in the map of another flight."""
+
+    mapped: Annotated[Path, tyro.conf.Positional]
+    """Recording of the flight that is mapped."""
+    flights: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Recordings of flights in the same world."""
+    cameras: int = 1
+    """Number of cameras that the estimator uses."""
+    starts_s: tuple[float, ...] = (0.0, 10.0)
+    """Times after the first frame at which each flight begins [s]."""
+    localize_only: bool = False
+    """Leave the map as it is, instead of going on with mapping."""
+
+
+@dataclass(frozen=True)
+class Reloaded:
+    """What a flight made of a loaded map."""
+
+    joined_s: float | None
+    """Time from the first pose of the odometry to the first one in the map frame [s]; None without one."""
+    first_error_m: float | None
+    """Position error of that pose [m]."""
+    rmse_m: float | None
+    """RMSE of the position in the map frame, as it was published [m]."""
+    loops: int
+    """Number of closed loops whose later keyframe is one of this flight."""
+    odometry_m: float
+    """RMSE of the position of the odometry, aligned by itself by yaw and position [m]."""
+
+
+def outcome_of(run: EstimatorRun, truth: Trajectory, in_world: Alignment) -> Reloaded:
+    """Return what a flight made of a loaded map.
+
+    Args:
+        run: The estimates, with the final map.
+        truth: The ground truth.
+        in_world: The alignment of the map frame with the world of the ground truth.
+    """
+    odometry, mapped = run.trajectory, run.map_trajectory
+    true, rows = interpolate(truth, odometry.t_ns)
+    p_odom = odometry.p_world_imu[rows]
+    odometry_m = _rms(true.p_world_imu - align(true.p_world_imu, p_odom).positions(p_odom))
+    if not len(mapped):
+        return Reloaded(None, None, None, 0, odometry_m)
+    true, rows = interpolate(truth, mapped.t_ns)
+    errors_m = true.p_world_imu - in_world.positions(mapped.p_world_imu[rows])
+    joined_s = float(mapped.t_ns[0] - odometry.t_ns[0]) * 1e-9
+    return Reloaded(joined_s, _rms(errors_m[:1]), _rms(errors_m), _loops_since(run, run.t_ns[0]), odometry_m)
+
+
+def map_frame_in_world(run: EstimatorRun, truth: Trajectory) -> tuple[Alignment, float]:
+    """Return the alignment of the map frame of a flight with the world by its final path, and its RMSE [m].
+
+    Args:
+        run: The estimates of the flight, with the final map.
+        truth: The ground truth.
+    """
+    final = run.final_trajectory
+    true, rows = interpolate(truth, final.t_ns)
+    found = align(true.p_world_imu, final.p_world_imu[rows])
+    return found, _rms(true.p_world_imu - found.positions(final.p_world_imu[rows]))
+
+
+def _rms(errors_m: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(errors_m**2, axis=1))))
+
+
+def _loops_since(run: EstimatorRun, begin_ns: int) -> int:
+    """Return the number of closed loops whose later keyframe is at a time or after it."""
+    return 0 if run.map is None else int(np.sum(run.map.t_ns[run.map.closed[:, 1]] >= begin_ns))
+
+
+def _truth(recording: Recording) -> Trajectory:
+    if recording.ground_truth is None:
+        raise ConfigError(f"{recording.name} has no ground truth; expected the recording of a simulated flight")
+    return recording.ground_truth
+
+
+HEADINGS = ("flight", "begins at [s]", "joined [s]", "error at first [mm]", "RMSE [mm]", "loops", "odometry [mm]")
+
+
+def cells(name: str, start_s: float, found: Reloaded) -> Sequence[str]:
+    """Return the row of a flight."""
+    first_mm, rmse_mm = (None if m is None else 1e3 * m for m in (found.first_error_m, found.rmse_m))
+    return (
+        f"`{name}`",
+        f"{start_s:g}",
+        text(found.joined_s, ".2f"),
+        text(first_mm, ".1f"),
+        text(rmse_mm, ".1f"),
+        str(found.loops),
+        f"{1e3 * found.odometry_m:.1f}",
+    )
+
+
+def main(command: ReloadedMapsCommand) -> None:
+    """Print the accuracy and the size of the map, and a row for each flight.
+
+    Raises:
+        ConfigError: A recording has no ground truth, or a flight is in another world than the map.
+        InputError: A recording cannot be read.
+    """
+    for flight in command.flights:
+        if world_of(flight) != world_of(command.mapped):
+            raise ConfigError(f"{flight} is in another world than {command.mapped}; expected the same --world-seed")
+    recording = open_recording(command.mapped, command.cameras)
+    truth = _truth(recording)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "first.map"
+        slam = VisualSlam(recording.rig)
+        run = estimate(recording, slam)
+        slam.save_map(file)
+        slam.close()
+        in_world, final_m = map_frame_in_world(run, truth)
+        path_m = float(np.linalg.norm(np.diff(truth.p_world_imu, axis=0), axis=1).sum())
+        megabytes = file.stat().st_size * 1e-6
+        print(f"Final path of the first flight: RMSE {1e3 * final_m:.1f} mm over {path_m:.1f} m.")
+        print(f"Map: {megabytes:.1f} MB, {megabytes / path_m:.2f} MB per metre.\n")
+        print(table(HEADINGS, []), flush=True)
+        for flight in command.flights:
+            for start_s in command.starts_s:
+                excerpt = excerpt_of(open_recording(flight, command.cameras), start_s)
+                slam = VisualSlam(excerpt.rig, map=file, localize_only=command.localize_only)
+                found = outcome_of(estimate(excerpt, slam), _truth(excerpt), in_world)
+                slam.close()
+                print(f"| {' | '.join(cells(flight.name, start_s, found))} |", flush=True)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(ReloadedMapsCommand, description=__doc__))
