@@ -74,16 +74,16 @@ class Pace:
     ) -> None:
         """Take the time stamps (M,) of the frames [ns], a clock [s], and what waits for a number of seconds."""
         self._next_s = iter(((t_ns[1:] - t_ns[0]) * 1e-9).tolist())
-        self._clock_s, self._sleep, self._begin_s = clock_s, sleep, 0.0
-        self._begun = False
+        self._clock_s, self._sleep = clock_s, sleep
+        self._begin_s: float | None = None
 
     def imu(self, samples: ImuSamples) -> None:
         """Do nothing: IMU samples come with the frame after them."""
 
     def frame(self, frame: CameraFrame, estimate: Estimate, cpu_ms: float) -> None:
         """Wait until it is time for the next frame; the first one, which starts the worker, begins the clock."""
-        if not self._begun:
-            self._begin_s, self._begun = self._clock_s(), True
+        if self._begin_s is None:
+            self._begin_s = self._clock_s()
         wait_s = self._begin_s + next(self._next_s, 0.0) - self._clock_s()
         if wait_s > 0.0:
             self._sleep(wait_s)

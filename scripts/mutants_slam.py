@@ -199,7 +199,7 @@ SLAM = (
         "estimator/slam/submap.py",
         "T = frame_change(poses, self.first_poses)",
         "T = np.eye(4)",
-        ("tests/estimator/slam/mapping/test_submaps.py::test_the_map_stays_where_it_was_published",),
+        ("tests/estimator/slam/mapping/test_adjusted_submaps.py::test_the_map_stays_where_it_was_published",),
     ),
     Mutant(
         "map-frame-of-the-last-adjustment",
@@ -207,7 +207,7 @@ SLAM = (
         "estimator/slam/submap.py",
         "T_map_first = T @ self.T_map_first",
         "T_map_first = T",
-        ("tests/estimator/slam/mapping/test_submaps.py::test_the_map_stays_where_it_was_published",),
+        ("tests/estimator/slam/mapping/test_adjusted_submaps.py::test_the_map_stays_where_it_was_published",),
     ),
     Mutant(
         "map-frame-of-the-joined-track",
@@ -263,7 +263,7 @@ SLAM = (
         "estimator/slam/submap.py",
         "return self.adjustment.scale if",
         "return 1.0 if",
-        ("tests/estimator/slam/mapping/test_submaps.py::test_adjusted_poses_are_the_optimum_of_the_graph",),
+        ("tests/estimator/slam/mapping/test_adjusted_submaps.py::test_adjusted_poses_are_the_optimum_of_the_graph",),
     ),
     Mutant(
         "adjustment-stiffer-again",
@@ -271,7 +271,7 @@ SLAM = (
         "estimator/slam/pose_graph.py",
         "(1.0 if relative.second <= known else ADJUSTED_VARIANCE)",
         "ADJUSTED_VARIANCE",
-        ("tests/estimator/slam/mapping/test_submaps.py::test_adjusted_odometry_is_stiffer_once",),
+        ("tests/estimator/slam/mapping/test_adjusted_submaps.py::test_adjusted_odometry_is_stiffer_once",),
     ),
     Mutant(
         "final-path-of-smoothed-keyframes",

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 import tyro
 from markdown_tables import table, text
 
@@ -25,6 +24,7 @@ from dronevio.api import estimate
 from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.eval.metrics.alignment import Alignment, align
 from dronevio.eval.metrics.association import interpolate
+from dronevio.eval.metrics.errors import Statistics, ate, translation_errors_m
 from dronevio.eval.run import EstimatorRun
 from dronevio.excerpts import excerpt_of
 from dronevio.models.errors import ConfigError
@@ -32,8 +32,6 @@ from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.scenario_file import world_of
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -78,14 +76,14 @@ def outcome_of(run: EstimatorRun, truth: Trajectory, in_world: Alignment) -> Rel
     """
     odometry, mapped = run.trajectory, run.map_trajectory
     true, rows = interpolate(truth, odometry.t_ns)
-    p_odom = odometry.p_world_imu[rows]
-    odometry_m = _rms(true.p_world_imu - align(true.p_world_imu, p_odom).positions(p_odom))
+    odometry_m = ate(true.p_world_imu, odometry.p_world_imu[rows]).rmse
     if not len(mapped):
         return Reloaded(None, None, None, 0, odometry_m)
     true, rows = interpolate(truth, mapped.t_ns)
-    errors_m = true.p_world_imu - in_world.positions(mapped.p_world_imu[rows])
+    errors_m = translation_errors_m(true.p_world_imu, in_world.positions(mapped.p_world_imu[rows]))
     joined_s = float(mapped.t_ns[0] - odometry.t_ns[0]) * 1e-9
-    return Reloaded(joined_s, _rms(errors_m[:1]), _rms(errors_m), _loops_since(run, run.t_ns[0]), odometry_m)
+    rmse_m = Statistics.of(errors_m).rmse
+    return Reloaded(joined_s, float(errors_m[0]), rmse_m, _loops_since(run, run.t_ns[0]), odometry_m)
 
 
 def map_frame_in_world(run: EstimatorRun, truth: Trajectory) -> tuple[Alignment, float]:
@@ -97,12 +95,8 @@ def map_frame_in_world(run: EstimatorRun, truth: Trajectory) -> tuple[Alignment,
     """
     final = run.final_trajectory
     true, rows = interpolate(truth, final.t_ns)
-    found = align(true.p_world_imu, final.p_world_imu[rows])
-    return found, _rms(true.p_world_imu - found.positions(final.p_world_imu[rows]))
-
-
-def _rms(errors_m: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(errors_m**2, axis=1))))
+    p_map = final.p_world_imu[rows]
+    return align(true.p_world_imu, p_map), ate(true.p_world_imu, p_map).rmse
 
 
 def _loops_since(run: EstimatorRun, begin_ns: int) -> int:
@@ -152,8 +146,7 @@ def main(command: ReloadedMapsCommand) -> None:
         slam.save_map(file)
         slam.close()
         in_world, final_m = map_frame_in_world(run, truth)
-        path_m = float(np.linalg.norm(np.diff(truth.p_world_imu, axis=0), axis=1).sum())
-        megabytes = file.stat().st_size * 1e-6
+        path_m, megabytes = truth.length_m, file.stat().st_size * 1e-6
         print(f"Final path of the first flight: RMSE {1e3 * final_m:.1f} mm over {path_m:.1f} m.")
         print(f"Map: {megabytes:.1f} MB, {megabytes / path_m:.2f} MB per metre.\n")
         print(table(HEADINGS, []), flush=True)

@@ -14,8 +14,8 @@ from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
 from dronevio.estimator.slam.localization import KeyframeView
 from dronevio.estimator.slam.mapping import Mapper
 from dronevio.estimator.slam.odometry_factors import RelativePose, first_node, propagated
-from dronevio.estimator.slam.pose_graph import ADJUSTED_VARIANCE, PoseGraph, joined_graphs, optimize
-from dronevio.estimator.slam.submap import Adjustment, Submap, path_scale
+from dronevio.estimator.slam.pose_graph import PoseGraph, joined_graphs, optimize
+from dronevio.estimator.slam.submap import Submap
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.models.map_correction import MapCorrection
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix, rotation_z
@@ -271,119 +271,6 @@ def test_too_small_a_map_is_given_up(tracks: Tracks) -> None:
     np.testing.assert_allclose(correction.T_map_odom, np.eye(4), atol=1e-9)
 
 
-ADJUSTED = 40
-"""Number of keyframes that are adjusted."""
-
-
-def adjusted_twice_as_large(odometry_flight: "OdometryFlight") -> tuple[Submap, Submap]:
-    """Return a submap, and the same with the first keyframes adjusted to twice the size."""
-    estimates = odometry_flight.marginalized[:SPLIT]
-    node, submap = first_node(0, estimates[0]), Submap.begin(0, estimates[0], 0)
-    for number in range(1, SPLIT):
-        node, submap = submap.extended(node, number, estimates[number])
-    poses = {}
-    for number in range(ADJUSTED):
-        poses[number] = submap.graph.poses[number].copy()
-        poses[number][:3, 3] *= 2.0
-    return submap, submap.adjusted(poses, Adjustment(ADJUSTED - 1, 0, 2.0), estimates[-1].t_ns)
-
-
-def test_adjusted_poses_are_the_optimum_of_the_graph(odometry_flight: "OdometryFlight") -> None:
-    before, after = adjusted_twice_as_large(odometry_flight)
-    doubled = {n: np.block([[T[:3, :3], 2.0 * T[:3, 3:]], [T[3:]]]) for n, T in before.graph.poses.items()}
-    for graph in (after.graph, after.optimized(0).graph, after.whole_graph):
-        moved = {number: T @ inverse_pose(doubled[number]) for number, T in graph.poses.items() if number < ADJUSTED}
-        for T in moved.values():  # the map frame has moved
-            np.testing.assert_allclose(T, after.T_map_first, atol=1e-5)
-    # The later ones follow with the new scale, also those that are added after the adjustment.
-    estimates = odometry_flight.marginalized
-    node = replace(first_node(SPLIT - 1, estimates[SPLIT - 1]), first=0)
-    _, extended = after.extended(node, SPLIT, estimates[SPLIT])
-    for number in range(ADJUSTED, SPLIT + 1):
-        expected = (inverse_pose(estimates[ADJUSTED - 1].T_odom_imu) @ estimates[number].T_odom_imu)[:3, 3]
-        found = (inverse_pose(extended.graph.poses[ADJUSTED - 1]) @ extended.graph.poses[number])[:3, 3]
-        np.testing.assert_allclose(found, 2.0 * expected, atol=1e-5)
-    again = after.adjusted(after.graph.poses, Adjustment(ADJUSTED - 1, 0, 2.0), 0)
-    whole = [inverse_pose(submap.graph.poses[0]) @ submap.graph.poses[SPLIT - 1] for submap in (after, again)]
-    np.testing.assert_allclose(whole[1], whole[0], atol=1e-5)
-
-
-def test_adjusted_odometry_is_stiffer_once(odometry_flight: "OdometryFlight") -> None:
-    before, after = adjusted_twice_as_large(odometry_flight)
-    again = after.adjusted(after.graph.poses, Adjustment(SPLIT - 1, 0, 2.0), 0)
-    for step, adjusted, twice in zip(before.graph.odometry, after.graph.odometry, again.graph.odometry, strict=True):
-        is_adjusted = step.second < ADJUSTED
-        expected = (ADJUSTED_VARIANCE if is_adjusted else 1.0) * step.covariance
-        np.testing.assert_allclose(adjusted.covariance, expected, rtol=1e-12)
-        np.testing.assert_allclose(twice.covariance, ADJUSTED_VARIANCE * step.covariance, rtol=1e-12)
-    estimates = odometry_flight.marginalized
-    culled, of_odometry = (
-        next(
-            each.covariance
-            for each in submap.without(20, first_node(19, estimates[19]), estimates[21]).graph.odometry
-            if each.second == 21
-        )
-        for submap in (after, before)
-    )
-    np.testing.assert_allclose(culled, ADJUSTED_VARIANCE * of_odometry, rtol=1e-12)
-
-
-def test_loops_still_move_an_adjusted_map(odometry_flight: "OdometryFlight") -> None:
-    _, after = adjusted_twice_as_large(odometry_flight)
-    T = after.graph.poses
-    T_loop = inverse_pose(T[3]) @ T[30] @ pose_matrix(np.eye(3), np.array([0.02, 0.0, 0.0]))
-    loop = RelativePose(3, 30, T_loop, 1e-10 * np.eye(6))
-    moved = after.with_loops([loop]).optimized(0)
-    assert moved.closed_loops == (loop,)
-    np.testing.assert_allclose(inverse_pose(moved.graph.poses[3]) @ moved.graph.poses[30], T_loop, atol=1e-3)
-
-
-def test_a_culled_keyframe_leaves_the_adjusted_odometry(odometry_flight: "OdometryFlight") -> None:
-    _, after = adjusted_twice_as_large(odometry_flight)
-    estimates = odometry_flight.marginalized
-    culled = after.without(20, first_node(19, estimates[19]), estimates[21])
-    step = next(each for each in culled.graph.odometry if each.second == 21)
-    assert step.first == 19
-    expected = inverse_pose(after.graph.poses[19]) @ after.graph.poses[21]
-    np.testing.assert_allclose(step.T_first_second, expected, atol=1e-9)
-    np.testing.assert_array_equal(culled.whole_graph.poses[20], after.graph.poses[20])
-
-
-def test_culled_keyframes_are_adjusted_too(odometry_flight: "OdometryFlight") -> None:
-    before, _ = adjusted_twice_as_large(odometry_flight)
-    estimates = odometry_flight.marginalized
-    culled = before.without(20, first_node(19, estimates[19]), estimates[21])
-    poses = {number: 1.0 * T for number, T in before.graph.poses.items() if number < ADJUSTED}
-    for T in poses.values():
-        T[:3, 3] *= 2.0
-    after = culled.adjusted(poses, Adjustment(ADJUSTED - 1, 0, 2.0), 0)
-    np.testing.assert_array_equal(after.whole_graph.poses[20], after.T_map_first @ poses[20])
-    np.testing.assert_allclose(after.graph.poses[21], after.T_map_first @ poses[21], atol=1e-5)
-
-
-def test_the_map_stays_where_it_was_published(odometry_flight: "OdometryFlight") -> None:
-    """Bundle adjustment doubles the map: the middle of the adjusted keyframes stays, not the first one."""
-    before, after = adjusted_twice_as_large(odometry_flight)
-    old, new = (
-        np.array([submap.graph.poses[number][:3, 3] for number in range(ADJUSTED)]) for submap in (before, after)
-    )
-    np.testing.assert_allclose(new.mean(axis=0), old.mean(axis=0), atol=0.02)
-    assert after.first_poses == before.first_poses
-    first = inverse_pose(after.T_map_first) @ after.graph.poses[0]
-    np.testing.assert_allclose(first, before.graph.poses[0], atol=1e-5)
-    offset_m = float(np.linalg.norm(new[0] - old[0]))
-    assert offset_m > 0.1
-    added = after.covariance_in_map(0) - before.covariance_in_map(0)
-    np.testing.assert_allclose(np.trace(added[3:, 3:]), offset_m**2, rtol=0.02)
-    # A later adjustment is aligned with the poses that were published, not with those of this one. Its first keyframe
-    # is where this one has left it.
-    T = after.graph.poses[0] @ inverse_pose(before.graph.poses[0])
-    small = {number: T @ before.graph.poses[number] for number in range(ADJUSTED)}
-    back = after.adjusted(small, Adjustment(ADJUSTED - 1, 0, 1.0), 0)
-    np.testing.assert_allclose(back.graph.poses[5], before.graph.poses[5], atol=1e-5)
-    np.testing.assert_allclose(back.T_map_first, np.eye(4), atol=1e-5)
-
-
 def test_loops_with_fixed_keyframes_are_judged() -> None:
     """Factors between fixed keyframes contradict their poses here, and must not hide that the loops agree."""
     poses = {k: pose_matrix(rotation_z(0.05 * k), np.array([0.3 * k, np.sin(0.1 * k), 0.0])) for k in range(80)}
@@ -395,42 +282,3 @@ def test_loops_with_fixed_keyframes_are_judged() -> None:
     fixed = RelativePose(3, 30, np.eye(4), 1e-6 * np.eye(6))  # not judged: both of its keyframes stay
     graph = PoseGraph(0, 1e-8 * np.eye(6), poses, odometry, loops=(*loops, fixed), fixed=tuple(range(40)))
     assert optimize(graph).rejected == {2}
-
-
-def test_an_adjusted_map_has_no_new_priors_on_positions(odometry_flight: "OdometryFlight") -> None:
-    """The odometry frame is not the map frame any more, since their scales differ."""
-    _, after = adjusted_twice_as_large(odometry_flight)
-    later, S = odometry_flight.marginalized[SPLIT], np.diag([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
-    known = replace(later, covariance=S @ later.covariance @ S)
-    node = first_node(SPLIT - 1, odometry_flight.marginalized[SPLIT - 1])
-    node = replace(node, first=0)
-    assert after.extended(node, SPLIT, known)[1].graph.positions == ()
-
-
-def straight_path(count: int, step_m: float, first_of_track: int = 0) -> list[MapKeyframe]:
-    """Return keyframes on a straight line, one a second; those from a number on are of another track."""
-    none, points = np.zeros(0, np.int64), np.zeros((0, 3))
-    poses = [pose_matrix(np.eye(3), np.array([step_m * number, 0.0, 0.0])) for number in range(count)]
-    return [
-        MapKeyframe(number, number * 10**9, T, NO_KEYFRAME_FEATURES, none, points, int(number >= first_of_track))
-        for number, T in enumerate(poses)
-    ]
-
-
-def stretched(keyframes: Sequence[MapKeyframe], scale: float) -> dict[int, Array]:
-    """Return poses (4, 4) whose positions are multiplied by a factor."""
-    return {k.number: pose_matrix(np.eye(3), (scale if k.number else 1.0) * k.T_odom_imu[:3, 3]) for k in keyframes}
-
-
-def test_path_scale_is_that_of_the_last_minute() -> None:
-    path = straight_path(100, 0.2)
-    poses = stretched(path[:40], 1.5) | stretched(path[40:], 1.02)
-    assert path_scale(path, poses) == pytest.approx(1.02, rel=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("step_m", "first_of_track"), [pytest.param(0.05, 0, id="short path"), pytest.param(0.2, 90, id="another track")]
-)
-def test_path_scale_of_too_short_a_path_is_one(step_m: float, first_of_track: int) -> None:
-    path = straight_path(95, step_m, first_of_track)
-    assert path_scale(path, stretched(path, 1.02)) == 1.0
