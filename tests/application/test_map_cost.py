@@ -29,9 +29,9 @@ def test_added_times_are_those_of_the_same_turn(map_cost: Any) -> None:
     turns = [
         map_cost.Turn(run_of([4.0] * 101), run_of([4.5] * 101), cost(101, 40, 1, 0.303)),
         map_cost.Turn(run_of([9.0] * 101), run_of([9.0] * 100 + [19.1]), cost(101, 40, 3, 0.404)),
-        map_cost.Turn(run_of([6.0] * 101), run_of([8.0] * 101), cost(101, 40, 2, 0.505)),
+        map_cost.Turn(run_of([6.0] * 99 + [8.0] * 2), run_of([8.0] * 101), cost(101, 40, 2, 0.505)),
     ]
-    expected = ("2", "6.0", "0.5 (0.1, 2.0)", "0.5 (0.0, 2.0)", "4.0", "40", "2, at 5.0 times the rate", "0")
+    expected = ("2", "6.0", "0.5 (0.1, 2.0)", "0.0 (0.0, 0.5)", "4.0", "40", "2, at 5.0 times the rate", "0")
     assert map_cost.cells(2, turns, cost(101, 40, 0, 0.5)) == expected
 
 
