@@ -37,7 +37,7 @@ class MapCostCommand:
     """Measure the cost of the map."""
 
     recording: Annotated[Path, tyro.conf.Positional]
-    """A recording."""
+    """Recording of the flight that both estimators run on."""
     cameras: tuple[int, ...] = (1, 2)
     """Numbers of cameras."""
     turns: int = 3
