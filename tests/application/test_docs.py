@@ -134,13 +134,13 @@ def helps() -> dict[str, str]:
 
 
 def command_lines() -> list[tuple[str, str]]:
-    """Return every line of a shell block that begins with dronevio, with its page."""
+    """Return every command of a shell block that is a call of dronevio, on one line, with its page."""
     return [
-        (page, line)
+        (page, call[1])
         for page in PAGES
         for block in blocks(page, "sh")
-        for line in block.splitlines()
-        if re.match(r"(\.venv/bin/)?dronevio ", line)
+        for line in block.replace("\\\n", " ").splitlines()
+        if (call := re.match(r"(?:\w+=\S+ )*((?:\.venv/bin/)?dronevio .*)", line))
     ]
 
 
