@@ -84,6 +84,14 @@ def test_errors_are_in_the_frame_of_the_file(reloaded: Any) -> None:
     assert reloaded.cells("light", 10.0, found) == ("`light`", "10", "4.00", "30.0", "39.7", "3", "0.0")
 
 
+def test_time_until_joined_begins_with_the_odometry(reloaded: Any) -> None:
+    in_world, _ = reloaded.map_frame_in_world(with_map(flight(0)), truth())
+    joined = flight(joined_at=4)
+    initializing = tuple(Estimate(t_ns, Health.INITIALIZING, None) for t_ns in (0, S))
+    found = reloaded.outcome_of(replace(joined, estimates=(*initializing, *joined.estimates[2:])), truth(), in_world)
+    assert found.joined_s == 2.0
+
+
 def test_a_flight_that_is_not_joined_has_no_errors(reloaded: Any) -> None:
     in_world, _ = reloaded.map_frame_in_world(with_map(flight(0)), truth())
     found = reloaded.outcome_of(flight(joined_at=N), truth(), in_world)
