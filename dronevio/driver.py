@@ -6,9 +6,9 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
-import cv2
 import numpy as np
 
+from dronevio.estimator.threads import single_threaded
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.defects import Defect, DefectKind, defects_of
 from dronevio.models.errors import EvaluationError
@@ -73,11 +73,11 @@ class TimedEstimator:
     """An estimator whose estimates and processor times are recorded; implements `Estimator`.
 
     The time of a frame includes the IMU samples before it, and the states at the IMU's rate that are requested.
+    Meanwhile, linear algebra and OpenCV use one thread.
     """
 
     def __init__(self, estimator: Estimator) -> None:
-        """Take an estimator before its first measurement, and let OpenCV use one thread in this process."""
-        cv2.setNumThreads(1)  # threads would sum floating-point numbers in another order in each run
+        """Take an estimator before its first measurement."""
         self._estimator = estimator
         self._estimates: list[Estimate] = []
         self._cost_s: list[tuple[float, float]] = []
@@ -117,7 +117,8 @@ class TimedEstimator:
     def _timed(self) -> Iterator[None]:
         """Add the time of the context to that of the next frame."""
         cpu_start, wall_start = time.process_time(), time.perf_counter()
-        yield
+        with single_threaded():
+            yield
         self._cpu_s += time.process_time() - cpu_start
         self._wall_s += time.perf_counter() - wall_start
 

@@ -1,11 +1,18 @@
-"""Work on several cores by threads, with progress."""
+"""Threads: one for linear algebra and OpenCV within the estimators, and pools with progress for work on several cores.
 
+The matrices of an estimator are small. On them, the threads that BLAS libraries start wait for each other most of the
+time, and they sum floating-point numbers in an order that depends on their number.
+"""
+
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import cache
 from typing import TypeVar
 
 import cv2
+from threadpoolctl import LibController, OpenBLASController, ThreadpoolController
 
 from dronevio.models.progress import Progress
 
@@ -26,11 +33,54 @@ def map_with_progress(
 
 
 @contextmanager
-def one_opencv_thread() -> Iterator[None]:
-    """Run OpenCV without threads of its own within the context, while a pool keeps the cores busy."""
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
+def single_threaded() -> Iterator[None]:
+    """Let BLAS libraries and OpenCV use one thread within the context, or within a function that it decorates.
+
+    The numbers of threads belong to the process: other threads have one, too, as long as any thread is within such a
+    context. The numbers from before are restored when the last one leaves.
+    """
+    _LIMIT.enter()
     try:
         yield
     finally:
-        cv2.setNumThreads(threads)
+        _LIMIT.leave()
+
+
+class _Limit:
+    """The limit that all contexts share; the first one saves the numbers of threads, the last one restores them."""
+
+    def __init__(self) -> None:
+        self._lock, self._contexts = threading.Lock(), 0
+        self._before: tuple[list[int], int] = ([], 1)  # of each BLAS library, and of OpenCV
+
+    def enter(self) -> None:
+        with self._lock:
+            self._contexts += 1
+            if self._contexts > 1:
+                return
+            self._before = [library.get_num_threads() for library in _blas_libraries()], cv2.getNumThreads()
+            _set_threads([1] * len(self._before[0]), 1)
+
+    def leave(self) -> None:
+        with self._lock:
+            self._contexts -= 1
+            if not self._contexts:
+                _set_threads(*self._before)
+
+
+def _set_threads(blas: list[int], opencv: int) -> None:
+    """Set the numbers of threads of the BLAS libraries, in their order, and of OpenCV."""
+    OpenBLASController.clear_controlling_thread(force=True)  # contexts may end in another thread than they begin in
+    for library, threads in zip(_blas_libraries(), blas, strict=True):
+        library.set_num_threads(threads)
+    OpenBLASController.clear_controlling_thread(force=True)
+    cv2.setNumThreads(opencv)
+
+
+@cache
+def _blas_libraries() -> tuple[LibController, ...]:
+    """Return the BLAS libraries of the process; those of NumPy and SciPy are loaded before any estimator."""
+    return tuple(ThreadpoolController().select(user_api="blas").lib_controllers)
+
+
+_LIMIT = _Limit()

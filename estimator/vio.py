@@ -33,6 +33,7 @@ from dronevio.estimator.pipeline import MeasurementPipeline
 from dronevio.estimator.propagator import Propagator
 from dronevio.estimator.saturated_rotation import ITERATIONS, missing_rotation, saturated_sigma_rad, with_rotation
 from dronevio.estimator.stamp_error import StampCorrection
+from dronevio.estimator.threads import single_threaded
 from dronevio.estimator.types import Calibration, FramePacket, Observations
 from dronevio.models.imu import ImuSamples
 from dronevio.models.measurement_checks import check_imu, check_rig
@@ -144,8 +145,11 @@ class VisualInertialOdometry:
         """The noise of the IMU as it has been estimated so far."""
         return self._noise.params
 
+    @single_threaded()
     def add_frame(self, frame: CameraFrame) -> Estimate:
         """Add a frame and return the estimate at its time stamp.
+
+        Meanwhile, linear algebra and OpenCV use one thread; see `single_threaded`.
 
         Raises:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.

@@ -23,7 +23,7 @@ from dronevio.estimator.dense.mesh import build_mesh
 from dronevio.estimator.dense.neighbours import observed_points, select_neighbours
 from dronevio.estimator.dense.tsdf import integrate, pixel_size
 from dronevio.estimator.dense.views import ViewLoader
-from dronevio.estimator.threads import map_with_progress, one_opencv_thread
+from dronevio.estimator.threads import map_with_progress, single_threaded
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.progress import Progress, Stages, silent, silent_stages
 from dronevio.models.reconstruction import Reconstruction
@@ -51,6 +51,7 @@ class DenseResult:
     """Elapsed time of each stage [s]."""
 
 
+@single_threaded()
 def densify(
     images: ImageSet,
     reconstruction: Reconstruction,
@@ -82,15 +83,14 @@ def densify(
     load = ViewLoader(images, reconstruction, config.views)
     neighbours = select_neighbours(reconstruction, config.views)
     times = [time.perf_counter()]
-    with one_opencv_thread():
-        depths = estimate_depths(load, reconstruction, neighbours, config, stages("depth maps"), store)
-        times.append(time.perf_counter())
-        consistent = filter_depths(depths, neighbours, config, stages("consistency"))
-        spacing = config.spacing_px * pixel_size(consistent)
-        cloud = fuse(((depth, load(i).colours) for i, depth in enumerate(consistent)), spacing)
-        times.append(time.perf_counter())
-        volume = integrate(consistent, config.mesh, stages("mesh"))
-        mesh = build_mesh(volume, cloud, config.mesh.min_triangles)
+    depths = estimate_depths(load, reconstruction, neighbours, config, stages("depth maps"), store)
+    times.append(time.perf_counter())
+    consistent = filter_depths(depths, neighbours, config, stages("consistency"))
+    spacing = config.spacing_px * pixel_size(consistent)
+    cloud = fuse(((depth, load(i).colours) for i, depth in enumerate(consistent)), spacing)
+    times.append(time.perf_counter())
+    volume = integrate(consistent, config.mesh, stages("mesh"))
+    mesh = build_mesh(volume, cloud, config.mesh.min_triangles)
     times.append(time.perf_counter())
     elapsed = np.diff(times).tolist()
     times_s = dict(zip(("depth maps", "fusion", "mesh"), elapsed, strict=True))

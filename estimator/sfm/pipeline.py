@@ -28,7 +28,7 @@ from dronevio.estimator.sfm.placement.world import WorldFrame, place
 from dronevio.estimator.sfm.tracks import MatchedPair, connect_tracks
 from dronevio.estimator.sfm.two_view import TwoView, verify, view_of
 from dronevio.estimator.sfm.workspace import Workspace
-from dronevio.estimator.threads import map_with_progress, one_opencv_thread
+from dronevio.estimator.threads import map_with_progress, single_threaded
 from dronevio.models.errors import ConfigError
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.progress import Progress, Stages, silent_stages
@@ -58,6 +58,7 @@ class SfmResult:
         return all(world.is_metric for world in self.worlds)
 
 
+@single_threaded()
 def reconstruct(
     images: ImageSet,
     config: SfmConfig | None = None,
@@ -91,7 +92,7 @@ def reconstruct(
     if earlier is not None:
         images = replace(images, cameras=earlier_cameras(images, earlier))
     clock = _Clock()
-    with one_opencv_thread(), ThreadPoolExecutor(config.threads) as pool:
+    with ThreadPoolExecutor(config.threads) as pool:
         features, keys = _detect(images, config, workspace, pool, stages("features"))
         clock.lap("features")
         known = None if earlier is None else earlier_pairs(index, earlier, features)

@@ -114,12 +114,9 @@ def serve(requests_fd: int, answers_fd: int) -> None:
 
 def _answer(requests: Connection, answers: Connection) -> None:
     """Answer all requests."""
-    import cv2
-
     from dronevio.estimator.slam.adjuster import ProcessAdjuster
     from dronevio.estimator.slam.map_builder import MapBuilder
 
-    cv2.setNumThreads(1)
     start_s = time.process_time()
     begin: Begin = read(requests)
     builder = MapBuilder(begin.rig, begin.config, begin.known, ProcessAdjuster(begin.config.adjustment))

@@ -41,6 +41,7 @@ from dronevio.estimator.slam.pose_graph import OptimizedGraph
 from dronevio.estimator.slam.saved_arrays import MIN_KEYFRAMES
 from dronevio.estimator.slam.saved_map import SavedMap, saved_map
 from dronevio.estimator.slam.schedule import CorrectionSchedule
+from dronevio.estimator.threads import single_threaded
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
@@ -116,6 +117,7 @@ class VisualSlam:
         """Return the newest state in the odometry frame, propagated by the IMU; see `Estimator`."""
         return self._odometry.state_at(t_ns)
 
+    @single_threaded()
     def add_frame(self, frame: CameraFrame) -> Estimate:
         """Add a frame and return the estimate at its time stamp, with the correction by the map.
 
@@ -238,6 +240,7 @@ class VisualSlam:
             raise ConfigError("map without keyframes; expected one or more to write its graph")
         write_g2o(Path(path), solution.without_rejected)
 
+    @single_threaded()
     def _final_solution(self) -> tuple[Mapper, OptimizedGraph | None]:
         """Return the map, and its pose graph with the final poses; see `final_map`."""
         if self._final is None or self._final[0] != self._frames:
