@@ -37,7 +37,7 @@ class Publisher:
         self._cause: tuple[str, int] = ("", 0)  # what prevents the initialization, and its first time [ns]
         self._stated_causes: frozenset[str] = frozenset()
         self._miscalibrated: frozenset[int] = frozenset()  # cameras whose extrinsics are contradicted
-        self._gaps_s: tuple[float, ...] = ()  # the gap of the IMU in each of the last frames
+        self._gap: tuple[int, float] = (0, 0.0)  # frames without a break since a gap of the IMU began, its length [s]
 
     @property
     def has_stated_cause(self) -> bool:
@@ -111,10 +111,10 @@ class Publisher:
         """Return an event when a gap of the IMU begins, and one when a gap of several frames ends."""
         longest_s = packet.increments.longest_s
         if longest_s * self._imu_rate_hz > IMU_GAP_INTERVALS:
-            self._gaps_s = (*self._gaps_s, longest_s)
-            return (f"no IMU for {longest_s:.2f} s",) if len(self._gaps_s) == 1 else ()
-        gaps_s, self._gaps_s = self._gaps_s, ()
-        return (f"IMU again after a gap of {sum(gaps_s):.2f} s",) if len(gaps_s) > 1 else ()
+            self._gap = self._gap[0] + 1, self._gap[1] + longest_s
+            return (f"no IMU for {longest_s:.2f} s",) if self._gap[0] == 1 else ()
+        (frames, gap_s), self._gap = self._gap, (0, 0.0)
+        return (f"IMU again after a gap of {gap_s:.2f} s",) if frames > 1 else ()
 
     def _calibration_events(self, observations: Observations) -> tuple[str, ...]:
         """Return events for cameras whose matches begin, or cease, to contradict their extrinsic calibration."""

@@ -172,6 +172,8 @@ class VisualInertialOdometry:
             estimate = replace(estimate, events=(*estimate.events, REPEATED_IMAGES))
         if estimate.state is not None:
             self._imu_rate.correct(estimate)
+        else:
+            self._imu_rate.skip(estimate.t_ns)
         return estimate
 
     def _initialize(self, state: Initializing, packet: FramePacket) -> Estimate:

@@ -155,6 +155,19 @@ class ImuRatePropagator:
         self._integrated.clear()
         self._propagation = None if estimate.state is None else _Propagation(estimate.state, self._params)
 
+    def skip(self, t_ns: int) -> None:
+        """Go on from the last estimate beyond a frame without a state; later estimates are of later times.
+
+        Args:
+            t_ns: Time of the frame [ns].
+        """
+        if self._propagation is None:
+            self._drop_until(t_ns)
+            return
+        self.state_at(t_ns)
+        while len(self._integrated) > 1 and self._integrated[0].end_ns <= t_ns:
+            self._integrated.popleft()
+
     def _at_estimate(self, start: NavState) -> NavState:
         """Return the state of an estimate without later samples, with the angular velocity of the nearest sample."""
         if self._last is None:

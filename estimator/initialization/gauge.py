@@ -4,7 +4,6 @@ The first initialization is at the origin. After a loss, the odometry continues 
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -103,26 +102,15 @@ class LastPublished:
 
     published: NavState
     """The last published state."""
-    since: tuple[Increments, ...] = ()
-    """The IMU increments since; they are integrated when they are needed, which few of them are."""
+    R_world_imu: Array
+    """(3, 3) The published orientation, propagated by the gyroscope."""
+    excess_variance_rad2: float = 0.0
+    """Variance of the rotation since, due to saturation and gaps of the gyroscope [rad²]."""
 
     @classmethod
     def of(cls, published: NavState) -> "LastPublished":
         """Return the gauge at a published state."""
-        return cls(published)
-
-    @cached_property
-    def R_world_imu(self) -> Array:
-        """(3, 3) The published orientation, propagated by the gyroscope."""
-        R = self.published.T_world_imu[:3, :3]
-        for increments in self.since:
-            R = R @ increments.rotation(self.published.gyro_bias_rad_s)
-        return np.asarray(R)
-
-    @cached_property
-    def excess_variance_rad2(self) -> float:
-        """Variance of the rotation since, due to saturation and gaps of the gyroscope [rad²]."""
-        return sum(float((i.dt_s @ i.excess_density[:, :3]).max()) for i in self.since)
+        return cls(published, published.T_world_imu[:3, :3])
 
     @property
     def gyro_bias(self) -> BiasPrior:
@@ -138,7 +126,10 @@ class LastPublished:
 
     def propagated(self, increments: Increments) -> "LastPublished":
         """Return the gauge after the IMU increments since the last call."""
-        return LastPublished(self.published, (*self.since, increments))
+        R, variance = increments.rotation(self.published.gyro_bias_rad_s), self.excess_variance_rad2
+        if increments.is_degraded:
+            variance += float((increments.dt_s @ increments.excess_density[:, :3]).max())
+        return LastPublished(self.published, self.R_world_imu @ R, variance)
 
     def align(self, start: NavState, since: Increments) -> NavState:
         """Return an initial state at the last position, with the yaw that agrees with the gyroscope at its end."""

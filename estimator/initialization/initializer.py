@@ -62,6 +62,11 @@ class InitializerConfig(Settings):
     gyro_bias_sigma_rad_s: Annotated[float, Range(1e-6, 10.0)] = 0.05
     """Standard deviation of the gyroscope bias before it is estimated [rad/s]; that of EuRoC is 0.08."""
 
+    @property
+    def longest_window_s(self) -> float:
+        """Longest time between the first frame of an initialization and its last one [s]."""
+        return max(self.static_window_s, self.dynamic.max_window_s)
+
 
 def not_ready_reason(state: NavState, config: InitializerConfig) -> NotObservable | None:
     """Return why a state is too uncertain to be published, or None where it is not.
@@ -119,9 +124,8 @@ class Initializer:
 
     def collect(self, packet: FramePacket) -> None:
         """Add a frame without an attempt to initialize."""
-        span_s = max(self._config.static_window_s, self._config.dynamic.max_window_s)
         self._window = [*self._window, packet]
-        self._window = self._since(packet.t_ns, span_s)
+        self._window = self._since(packet.t_ns, self._config.longest_window_s)
 
     def add(
         self,

@@ -8,6 +8,7 @@ frame is causal, and it jumps when a loop is closed; the pose in the odometry fr
 no pose in the map frame until a place of the map is recognized.
 """
 
+from collections import deque
 from dataclasses import replace
 from pathlib import Path
 
@@ -94,7 +95,7 @@ class VisualSlam:
         """
         self._config = c = config or SlamConfig()
         self._rig = rig
-        self._keyframes = _KeyframeMessages()
+        self._keyframes = _KeyframeMessages(2.0 * (odometry or VioConfig()).initialization.longest_window_s)
         self._measurements = FlightMeasurements(rig.imu)
         self._odometry = VisualInertialOdometry(rig, odometry, observer=self._keyframes)
         self._known, self._localize_only = _checked_map(rig, map, localize_only), localize_only
@@ -269,10 +270,16 @@ class VisualSlam:
 class _KeyframeMessages:
     """Keeps the keyframes of the odometry until they leave the window; implements `KeyframeObserver`."""
 
-    def __init__(self) -> None:
-        """Begin without keyframes."""
+    def __init__(self, window_s: float) -> None:
+        """Begin without keyframes.
+
+        Args:
+            window_s: Longest time by which the first keyframe of a track is earlier than the frame that begins it [s].
+        """
+        self._window_ns = round(window_s * 1e9)
         self._frame: CameraFrame | None = None
-        self._imu: list[ImuSamples] | None = None  # since those of the last keyframe; None before the first samples
+        self._imu: deque[ImuSamples] | None = None  # since those of the last keyframe; None before the first samples
+        self._has_track = False  # whether there has been a keyframe since the last loss
         self._imu_noise: PreintegrationParams | None = None
         self._has_map_pose = True
         self._waiting: dict[int, tuple[OdometryKeyframe, ImagedKeyframe]] = {}
@@ -280,7 +287,9 @@ class _KeyframeMessages:
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Keep IMU samples for the next keyframe that leaves the window."""
-        self._imu = [*(self._imu or ()), samples]
+        self._imu = deque() if self._imu is None else self._imu
+        if len(samples):
+            self._imu.append(samples)
 
     def begin_frame(self, frame: CameraFrame, imu_noise: PreintegrationParams, *, has_map_pose: bool) -> None:
         """Keep the images of the newest frame, which may become a keyframe.
@@ -291,6 +300,8 @@ class _KeyframeMessages:
             has_map_pose: Whether the pose of the odometry frame in the map frame is known.
         """
         self._frame, self._imu_noise, self._has_map_pose = frame, imu_noise, has_map_pose
+        while not self._has_track and self._imu and self._imu[0].t_ns[-1] < frame.t_ns - self._window_ns:
+            self._imu.popleft()
 
     def take(self) -> list[MapMessage]:
         """Return the messages since the last call."""
@@ -301,11 +312,13 @@ class _KeyframeMessages:
         """Let a keyframe of the odometry wait until it leaves the window, unless its images are those of an earlier
         frame. If no image connects it with the one before, another track begins.
         """
+        self._has_track = True
         self._waiting = {t: known for t, known in self._waiting.items() if t in keyframe.window_times_ns}
         if self._frame is None or not keyframe.is_of_newest_frame:
             return
         if not keyframe.is_connected:
             self.lost()
+            self._has_track = True
         images, R_odom_imu = tuple(self._frame.images), keyframe.state.T_world_imu[:3, :3]
         imaged = ImagedKeyframe(images, keyframe.calibration.rig, R_odom_imu, keyframe.observations)
         self._waiting[keyframe.t_ns] = keyframe, imaged
@@ -322,13 +335,13 @@ class _KeyframeMessages:
         measured = None
         if self._imu is not None and self._imu_noise is not None:
             # Several keyframes may leave the window at one frame, of which the later ones have no further samples.
-            imu, self._imu = ImuSamples.concatenated(self._imu or [ImuSamples.empty()]), []
+            imu, self._imu = ImuSamples.concatenated(self._imu or [ImuSamples.empty()]), deque()
             measured = KeyframeMeasurements(known.state, known.observations, known.calibration, imu, self._imu_noise)
         self._messages.append(MarginalizedKeyframe(imaged, estimate, measured))
 
     def lost(self) -> None:
         """Begin another track: later keyframes are in another odometry frame."""
-        self._waiting, self._has_map_pose = {}, False
+        self._waiting, self._has_map_pose, self._has_track = {}, False, False
         self._messages.append(TrackLost(0 if self._frame is None else self._frame.t_ns))
 
 

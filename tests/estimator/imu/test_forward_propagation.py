@@ -218,3 +218,30 @@ def test_gravity_can_be_corrected() -> None:
     propagator.correct(estimate(T0_NS, T[0], v[0]))
     velocity = propagator.add_imu(samples)[-1].velocity_m_s
     np.testing.assert_allclose(velocity - v[-1], [0.0, 0.0, -0.1], atol=2e-4)
+
+
+def test_frames_without_a_state_change_no_later_state() -> None:
+    """The propagator forgets what it has integrated at such frames, and no later output needs it."""
+    samples, T, v, _ = samples_on_circle(401)
+    forgetting, keeping = ImuRatePropagator(EUROC_IMU), ImuRatePropagator(EUROC_IMU)
+    for propagator in (forgetting, keeping):
+        propagator.push(samples[:21])
+        propagator.correct(estimate(int(samples.t_ns[20]), T[20], v[20]))
+    for first in range(21, 401, 20):
+        # The newest samples are later than the frame, as those of a live system are.
+        frame_ns = int(samples.t_ns[first]) + STEP_NS // 3
+        states = []
+        for propagator in (forgetting, keeping):
+            propagator.push(samples[first : first + 20])
+            states.append(propagator.state_at(int(samples.t_ns[first + 10])))
+        forgetting.skip(frame_ns)
+        states += [propagator.state_at(int(samples.t_ns[first + 19])) for propagator in (forgetting, keeping)]
+        for found, expected in (states[:2], states[2:]):
+            assert found is not None and expected is not None
+            np.testing.assert_array_equal(found.T_world_imu, expected.T_world_imu)
+    recovered_ns = int(samples.t_ns[395]) + STEP_NS // 2
+    for propagator in (forgetting, keeping):
+        propagator.correct(estimate(recovered_ns, T[395], v[395]))
+    found, expected = (propagator.state_at(int(samples.t_ns[400])) for propagator in (forgetting, keeping))
+    assert found is not None and expected is not None
+    np.testing.assert_array_equal(found.T_world_imu, expected.T_world_imu)

@@ -164,7 +164,7 @@ def test_final_path_has_the_keyframes_at_their_final_poses(monkeypatch: pytest.M
 
 
 def test_keyframes_that_leave_together_have_measurements() -> None:
-    rig, messages = one_camera(), visual_slam._KeyframeMessages()
+    rig, messages = one_camera(), visual_slam._KeyframeMessages(window_s=3.0)
     noise = PreintegrationParams.of(rig.imu, PreintegrationConfig())
     pair = [keyframe(rig, place, 0) for place in range(2)]
     for each in pair:
@@ -182,3 +182,40 @@ def test_keyframes_that_leave_together_have_measurements() -> None:
         messages.marginalized(each.estimate)
     found = [m.measured for m in messages.take() if isinstance(m, MarginalizedKeyframe)]
     assert [m is not None and len(m.imu) for m in found] == [2, 0]
+
+
+def test_samples_are_kept_from_before_the_first_keyframe_of_a_track_on() -> None:
+    """Before it, and after a loss, those of the longest window of an initialization suffice; then, all are needed."""
+    rig, messages = one_camera(), visual_slam._KeyframeMessages(window_s=3.0)
+    noise = PreintegrationParams.of(rig.imu, PreintegrationConfig())
+    first = keyframe(rig, 0, 0)
+    begin_ns = first.estimate.t_ns - 60 * 10**9
+
+    def fly(start_ns: int, end_ns: int) -> None:
+        for t_ns in range(start_ns, end_ns + 1, 10**8):
+            messages.add_imu(ImuSamples(np.array([t_ns]), np.zeros((1, 3)), np.zeros((1, 3))))
+            messages.begin_frame(CameraFrame(t_ns, first.keyframe.images), noise, has_map_pose=True)
+
+    def join() -> ImuSamples:
+        t_ns = first.estimate.t_ns
+        state = NavState(t_ns, first.estimate.T_odom_imu, np.zeros(3), np.zeros(3), np.zeros(3))
+        known = first.estimate.landmark_ids, first.estimate.landmarks_odom
+        messages.added(
+            OdometryKeyframe(t_ns, state, first.keyframe.observations, Calibration(rig), True, True, (t_ns,), *known)
+        )
+        fly(t_ns + 10**8, t_ns + 20 * 10**9)
+        messages.marginalized(first.estimate)
+        (found,) = [m.measured for m in messages.take() if isinstance(m, MarginalizedKeyframe)]
+        assert found is not None
+        return found.imu
+
+    fly(begin_ns, first.estimate.t_ns)
+    for _ in range(2):
+        imu = join()
+        assert imu.t_ns[0] == first.estimate.t_ns - 3 * 10**9
+        assert imu.t_ns[-1] == first.estimate.t_ns + 20 * 10**9
+        np.testing.assert_array_equal(np.diff(imu.t_ns), 10**8)
+        messages = visual_slam._KeyframeMessages(window_s=3.0)
+        fly(begin_ns, first.estimate.t_ns - 10**8)
+        messages.lost()
+        fly(first.estimate.t_ns, first.estimate.t_ns)
