@@ -26,6 +26,7 @@ from dronevio.estimator.initialization.static import (
     initialize_static,
     mean_angular_velocity,
 )
+from dronevio.estimator.initialization.zero_velocity import MOTION_DETECTION_DELAY_S
 from dronevio.estimator.types import Calibration, FramePacket
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.state import NavState
@@ -144,7 +145,7 @@ class Initializer:
         self.collect(packet)
         if not packet.has_image:
             return self._last_reason
-        if stationary_s > 0.0:
+        if stationary_s >= MOTION_DETECTION_DELAY_S:  # a shorter time is that between two frames of a slow motion
             return self._static(self._since(t_ns, stationary_s), calibration, gauge, noise)
         stereo = is_stereo(self._window, c.dynamic)
         needed_s = c.dynamic.stereo_window_s if stereo else c.dynamic.window_s
@@ -206,8 +207,10 @@ class Initializer:
         return NotObservable(f"a median reprojection error of {error_px:.1f} px")
 
     def _since(self, t_ns: int, span_s: float) -> list[FramePacket]:
-        """Return the packets of the last ``span_s`` seconds."""
-        return [packet for packet in self._window if t_ns - packet.t_ns <= span_s * 1e9 + TIME_TOLERANCE_NS]
+        """Return the fewest packets that span the last ``span_s`` seconds, or all that there are."""
+        begin_ns = t_ns - span_s * 1e9 + TIME_TOLERANCE_NS
+        first = sum(packet.t_ns <= begin_ns for packet in self._window) - 1  # at any frame rate, the last one before
+        return self._window[max(first, 0) :]
 
     def _adjusted(
         self,
