@@ -20,9 +20,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuModel, ImuSamples, Times
 from dronevio.models.protocols import Recording
 from dronevio.models.rig import Rig
+from dronevio.models.rotation import log_so3
 from dronevio.models.state import CameraFrame, Trajectory
 
 Array = npt.NDArray[np.float64]
@@ -130,6 +132,24 @@ def jittered(recording: Recording, sigma_s: float, seed: int = 0) -> PlayedRecor
     return PlayedRecording(
         recording.name, recording.rig, recording.imu, stamps_ns, recording.frame, recording.ground_truth
     )
+
+
+def gyro_bias_of(recording: Recording) -> Array:
+    """Return the gyroscope bias (3,) of a recording by its ground truth, its median where that has none [rad/s].
+
+    Raises:
+        ConfigError: The recording has no ground truth.
+    """
+    truth = recording.ground_truth
+    if truth is None:
+        raise ConfigError(f"{recording.name}: no ground truth; expected one, by which the bias is known")
+    if truth.gyro_bias_rad_s is not None:
+        return np.asarray(truth.gyro_bias_rad_s.mean(axis=0))
+    R, t_ns = truth.rotations, truth.t_ns
+    rates = log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:]) / (np.diff(t_ns) * 1e-9)[:, None]
+    middle_ns = t_ns[:-1] + np.diff(t_ns) // 2
+    measured = [np.interp(middle_ns, recording.imu.t_ns, axis) for axis in recording.imu.gyro_rad_s.T]
+    return np.asarray(np.median(np.column_stack(measured) - rates, axis=0))
 
 
 def _enlarged(T: Array, s: float) -> Array:

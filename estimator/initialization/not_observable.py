@@ -67,8 +67,8 @@ def too_short(span_s: float, static_s: float, dynamic_s: float) -> NotObservable
 def uncertain_velocity(speed_m_s: float, sigma_m_s: float, allowed_m_s: float) -> NotObservable:
     """Return that a velocity is too uncertain; all arguments in m/s."""
     return NotObservable(
-        f"the velocity of {speed_m_s:.2f} m/s is uncertain by {sigma_m_s:.2f} m/s, at most {allowed_m_s:.2f} m/s are"
-        " allowed: acceleration, and motion sideways past near objects, help"
+        f"a velocity of {speed_m_s:.2f} ± {sigma_m_s:.2f} m/s, ± {allowed_m_s:.2f} m/s is needed: acceleration, and"
+        " motion sideways past near objects, help"
     )
 
 
