@@ -15,12 +15,10 @@ from dronevio.estimator.backend.smoother import KeyframeSmoother
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.covariance import propagate_covariance
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationParams
+from dronevio.estimator.initialization.zero_velocity import MOTION_DETECTION_DELAY_S
 from dronevio.estimator.types import FramePacket, Observations
 from dronevio.models.imu import ImuModel
 from dronevio.models.state import NavState
-
-MOTION_DETECTION_DELAY_S = 0.2
-"""Longest time between the start of a motion and its detection in the image [s]: it takes half a pixel of flow."""
 
 MAX_STATIONARY_SIGMAS = 5.0
 """A vehicle whose velocity at the keyframe differs from zero by more standard deviations than this is not stationary,

@@ -12,8 +12,11 @@ import numpy as np
 
 from dronevio.estimator.innovation import median
 
-MIN_FRAMES = 3
-"""Smallest number of frames of a window that has begun anew, as at an initialization, for its median to count."""
+MIN_FRAMES, MIN_SPAN_S = 3, 0.1
+"""Smallest number of frames of a window that has begun anew, as at an initialization, and shortest time between the
+first and the last of them, for its median to count: at a high frame rate, a jolt disturbs more frames."""
+TIME_TOLERANCE_S = 0.001
+"""Tolerance of the lengths of windows, because time stamps are rounded and jitter [s]."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ class Trust:
         """
         self._limits, self._is_trusted = limits, is_trusted
         self._recent_nis: tuple[tuple[int, float], ...] = ()  # times and NIS of the window
-        self._is_full = False  # whether these cover the window
+        self._begin_ns: int | None = None  # time of the first frame since the window began anew
         self._last_ns: int | None = None  # time of the last frame
         self._motion_ns = 0  # duration of the consistent motion
         self._contradicted_ns: tuple[int, int] | None = None  # first and last time of the last contradiction
@@ -63,7 +66,7 @@ class Trust:
     @property
     def median_nis(self) -> float:
         """Median NIS over the window, 0 before the window is full."""
-        return self._median() if self._is_full else 0.0
+        return self._median() if self._covers(self._limits.window_s) else 0.0
 
     @property
     def is_established(self) -> bool:
@@ -72,7 +75,7 @@ class Trust:
 
     def restart_motion(self) -> None:
         """Let the estimate no longer be established, and the window begin anew."""
-        self._motion_ns, self._recent_nis, self._is_full = 0, (), False
+        self._motion_ns, self._recent_nis, self._begin_ns = 0, (), None
 
     def update(self, t_ns: int, nis: float | None, *, moves: bool) -> None:
         """Add a frame.
@@ -107,12 +110,21 @@ class Trust:
 
     def _add_to_window(self, t_ns: int, nis: float | None) -> None:
         """Add a frame to the window, or empty the window."""
+        if nis is None:
+            self._recent_nis, self._begin_ns = (), None
+            return
         begin_ns = t_ns - round(self._limits.window_s * 1e9)
-        self._is_full = nis is not None and bool(self._recent_nis) and self._recent_nis[0][0] <= begin_ns
-        recent = tuple(entry for entry in self._recent_nis if entry[0] > begin_ns)
-        self._recent_nis = () if nis is None else (*recent, (t_ns, nis))
+        self._begin_ns = t_ns if self._begin_ns is None else self._begin_ns
+        self._recent_nis = (*(entry for entry in self._recent_nis if entry[0] > begin_ns), (t_ns, nis))
+
+    def _covers(self, span_s: float) -> bool:
+        """Return whether the frames since the window began anew span a time [s]."""
+        if self._begin_ns is None or self._last_ns is None:
+            return False
+        return (self._last_ns - self._begin_ns) * 1e-9 >= span_s - TIME_TOLERANCE_S
 
     def _median(self) -> float:
-        """Return the median NIS over the window, 0 while it is not full and has fewer than `MIN_FRAMES` frames."""
+        """Return the median NIS over the window, 0 as long as it is not full and has too few frames."""
         values = np.array([value for _, value in self._recent_nis])
-        return median(values) if self._is_full or len(values) >= MIN_FRAMES else 0.0
+        is_enough = len(values) >= MIN_FRAMES and self._covers(MIN_SPAN_S)
+        return median(values) if is_enough or self._covers(self._limits.window_s) else 0.0

@@ -87,7 +87,7 @@ SLAM = (
         "map-delay-without-loops",
         "Schedule: the delay of corrections does not grow with the number of loops.",
         "estimator/slam/schedule.py",
-        " + loops // c.loops_per_frame",
+        "loops // c.loops_per_step + ",
         "",
         ("tests/estimator/slam/process/test_schedule.py::test_delay_grows_with_loops_and_keyframes",),
     ),

@@ -25,6 +25,7 @@ from dronevio.estimator.initialization.not_observable import (
     FORCE_IS_NOT_GRAVITY,
     MOTION_DISAGREES,
     ROTATION_DISAGREES,
+    SENSORS_SWAPPED,
 )
 from dronevio.estimator.vio import IMPLAUSIBLE_CALIBRATION, REPEATED_IMAGES, VisualInertialOdometry
 from dronevio.eval.metrics.association import interpolate
@@ -132,6 +133,12 @@ def crossed(recording: ChangedRecording, other: Recording) -> ChangedRecording:
     return replace(recording, imu=replace(other.imu, t_ns=other.imu.t_ns + shift_ns))
 
 
+def exchanged(recording: ChangedRecording, _: Recording) -> ChangedRecording:
+    """Return a recording whose gyroscope is given as the accelerometer, and the reverse."""
+    imu = recording.imu
+    return replace(recording, imu=replace(imu, gyro_rad_s=imu.accel_m_s2, accel_m_s2=imu.gyro_rad_s))
+
+
 def swapped(recording: ChangedRecording, _: Recording) -> ChangedRecording:
     """Return a recording whose images are given to the cameras in reverse order."""
 
@@ -167,6 +174,7 @@ FAULTS: Mapping[str, tuple[Change, tuple[str, ...]]] = {
     "accelerometer-in-g": (of_imu(_EYE, _EYE / GRAVITY_M_S2), (FORCE_IS_NOT_GRAVITY,)),
     "gyroscope-in-degrees": (of_imu(np.degrees(1.0) * _EYE, _EYE), (ROTATION_DISAGREES,)),
     "gyroscope-axes": (of_imu(_SWAPPED_AXES, _EYE), (ROTATION_DISAGREES,)),
+    "swapped-sensors": (exchanged, (SENSORS_SWAPPED,)),
     "accelerometer-axes": (of_imu(_EYE, _SWAPPED_AXES), (ACCEL_DISAGREES,)),
 }
 """Faults by name, each with the texts of the causes that the odometry may state."""

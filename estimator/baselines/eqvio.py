@@ -297,7 +297,7 @@ class EquivariantOdometry:
         stationary = (*stationary, increments) if stationary_s > 0.0 else ()
         if stationary_s < min_s:
             self._phase = _Initializing(stationary)
-            reason = f"the drone has been stationary for {stationary_s:.1f} s; {min_s:g} s are needed"
+            reason = f"it starts at rest only: stationary for {stationary_s:.1f} s, and {min_s:g} s are needed"
             return _estimate(t_ns, Health.INITIALIZING, reason, observations)
         initial = initialize_static(t_ns, stationary)
         up_imu = initial.T_world_imu[2, :3]

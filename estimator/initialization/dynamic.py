@@ -25,7 +25,9 @@ from dronevio.estimator.initialization.not_observable import (
     MOTION_DISAGREES,
     ROTATION_DISAGREES,
     NotObservable,
-    implausible_force,
+    implausible_imu,
+    rounded_down,
+    uncertain_velocity,
 )
 from dronevio.estimator.initialization.refinement import RefinedState, refine
 from dronevio.estimator.initialization.static import level_rotation
@@ -53,7 +55,7 @@ class DynamicInitializationConfig(Settings):
     stereo_window_s: Annotated[float, Range(0.1, 30.0)] = 0.5
     """Length of the window where several cameras observe the same landmarks, which makes the scale observable [s]."""
     max_frames: Annotated[int, Range(3, 200)] = 16
-    """Largest number of frames that are used; of a longer window, every second or third frame is used."""
+    """Largest number of frames that are used, spread evenly over the window."""
     min_observations: Annotated[int, Range(2, 200)] = 6
     """Smallest number of used frames in which a landmark must be observed."""
     min_landmarks: Annotated[int, Range(5, 100_000)] = 20
@@ -135,23 +137,28 @@ def initialize_dynamic(
     c, stereo = config, is_stereo(window, config)
     measured = WindowMeasurements.of(window, Ts_imu_cam, c.max_frames, c.min_observations)
     tracks, xy_sigma = measured.tracks, c.pixel_sigma / focal_px
-    if len(tracks) < c.min_landmarks:
-        return NotObservable(f"{len(tracks)} landmarks with long enough tracks; {c.min_landmarks} are needed")
-    implausible = implausible_force(measured.imu.accel_m_s2, gravity_m_s2)
+    implausible = implausible_imu(measured.imu.gyro_rad_s, measured.imu.accel_m_s2, gravity_m_s2)
     if implausible is not None:
         return implausible
+    if len(tracks) < c.min_landmarks:
+        return NotObservable(
+            f"{len(tracks)} features are tracked for long enough, {c.min_landmarks} are needed: more texture or light,"
+            " and slower motion, help"
+        )
     rotation = epipolar_gyro_bias(measured, gyro_bias, xy_sigma, c.outlier_sigmas)
     parallax_px = measured.median_parallax_rad(rotation.bias_rad_s) * focal_px
     needed_px = c.min_parallax_sigmas * c.pixel_sigma
     if not stereo and parallax_px < needed_px:
-        return NotObservable(f"a parallax of {parallax_px:.1f} px; {needed_px:g} px are needed")
+        return NotObservable(
+            f"a parallax of {rounded_down(parallax_px)} px, {needed_px:g} px are needed: motion sideways helps, or rest"
+        )
     noise = NoiseModel(xy_sigma, c.outlier_sigmas, accel_bias, gravity_m_s2)
     cause = probable_cause(rotation, measured.imu.angular_velocity_deviation_rad_s, c)
     try:
         initial = solve_closed_form(measured, rotation.bias_rad_s, rotation.weights, noise)
         refined = refine(measured, initial, gyro_bias, noise)
     except np.linalg.LinAlgError:
-        return NotObservable("the refinement finds no solution", cause)
+        return NotObservable("no motion explains images and IMU together", cause)
     state = refined.state
     motion = measured.imu.integrated(state.gyro_bias)
     reason = _reason_against(refined, cause, motion, stereo, accel_bias.sigma, c)
@@ -193,21 +200,35 @@ def _reason_against(
     c, state, t_s = config, refined.state, motion.t_s[:, None]
     inliers = refined.squares < c.max_residual_sigmas**2
     if inliers.mean() <= c.min_inliers:
-        return NotObservable(f"{1.0 - inliers.mean():.0%} of the landmarks disagree", cause)
-    if np.linalg.norm(state.accel_bias) > c.max_accel_bias_m_s2:
-        return NotObservable("an implausible accelerometer bias", cause)
+        return NotObservable(f"{1.0 - inliers.mean():.0%} of the landmarks disagree with the IMU", cause)
+    accel_bias, gyro_bias = float(np.linalg.norm(state.accel_bias)), float(np.linalg.norm(state.gyro_bias))
+    if accel_bias > c.max_accel_bias_m_s2:
+        return NotObservable(
+            f"an accelerometer bias of {accel_bias:.2f} m/s² explains the images, {c.max_accel_bias_m_s2:g} m/s² are"
+            " plausible",
+            cause,
+        )
     curvature_m = _deviation_from_line(motion.dp + 0.5 * state.gravity * t_s**2, t_s)
     curvature_of_bias_m = _deviation_from_line(0.5 * accel_bias_sigma_m_s2 * t_s**2, t_s)
     behind = float(np.mean(refined.depth_m[inliers] <= MIN_DEPTH_M))
     sigma_m_s = float(np.sqrt(np.linalg.eigvalsh(refined.velocity_covariance)[-1]))
-    allowed_m_s = max(c.max_velocity_sigma_m_s, c.max_velocity_sigma * float(np.linalg.norm(state.velocity)))
-    checks = (
-        (behind < 1.0 - c.min_in_front, f"{behind:.0%} of the landmarks behind the camera"),
-        (sigma_m_s < allowed_m_s, f"a velocity with a standard deviation of {sigma_m_s:.2f} m/s"),
-        (np.linalg.norm(state.gyro_bias) < c.max_gyro_bias_rad_s, "an implausible gyroscope bias"),
-        (stereo or curvature_m > c.min_excitation * curvature_of_bias_m, "too little acceleration for the scale"),
-    )
-    return next((NotObservable(reason) for passed, reason in checks if not passed), None)
+    speed_m_s = float(np.linalg.norm(state.velocity))
+    allowed_m_s = max(c.max_velocity_sigma_m_s, c.max_velocity_sigma * speed_m_s)
+    if behind >= 1.0 - c.min_in_front:
+        return NotObservable(f"{behind:.0%} of the landmarks would lie behind the camera: motion sideways helps")
+    if sigma_m_s >= allowed_m_s:
+        return uncertain_velocity(speed_m_s, sigma_m_s, allowed_m_s)
+    if gyro_bias >= c.max_gyro_bias_rad_s:
+        return NotObservable(
+            f"a gyroscope bias of {gyro_bias:.2f} rad/s explains the images, {c.max_gyro_bias_rad_s:g} rad/s are"
+            " plausible: a second at rest would show it"
+        )
+    if not stereo and curvature_m <= c.min_excitation * curvature_of_bias_m:
+        return NotObservable(
+            "too little acceleration, without which one camera does not show the scale: speeding up, braking and turns"
+            " help"
+        )
+    return None
 
 
 def _deviation_from_line(positions: Array, t_s: Array) -> float:

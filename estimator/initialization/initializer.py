@@ -20,18 +20,27 @@ from dronevio.estimator.imu.noise import ImuNoiseEstimator
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationParams
 from dronevio.estimator.initialization.dynamic import DynamicInitializationConfig, initialize_dynamic, is_stereo
 from dronevio.estimator.initialization.gauge import BiasPrior, Gauge
-from dronevio.estimator.initialization.not_observable import NotObservable, implausible_force
+from dronevio.estimator.initialization.not_observable import (
+    NotObservable,
+    implausible_imu,
+    rounded_down,
+    too_short,
+    uncertain_velocity,
+)
 from dronevio.estimator.initialization.static import (
     InitialSigmas,
     initialize_static,
     mean_angular_velocity,
 )
+from dronevio.estimator.initialization.zero_velocity import MOTION_DETECTION_DELAY_S
 from dronevio.estimator.types import Calibration, FramePacket
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.state import NavState
 
 MIN_FEATURES = 100
 """Below this number of features, new ones are detected in every frame during initialization."""
+NO_SOLUTION = "images and IMU do not determine the motion: motion sideways past near objects helps"
+"""Reason where the smoother finds no solution."""
 TIME_TOLERANCE_NS = 1_000_000
 """Tolerance of time spans, because time stamps jitter [ns]."""
 
@@ -76,9 +85,8 @@ def not_ready_reason(state: NavState, config: InitializerConfig) -> NotObservabl
     P = state.covariance
     speed_m_s = float(np.linalg.norm(state.velocity_m_s))
     sigma_m_s = float(np.sqrt(np.linalg.eigvalsh(P[6:9, 6:9])[-1])) if P is not None else 0.0
-    if sigma_m_s <= max(config.max_hover_velocity_sigma_m_s, config.max_velocity_sigma * speed_m_s):
-        return None
-    return NotObservable(f"a velocity of {speed_m_s:.2f} ± {sigma_m_s:.2f} m/s")
+    allowed_m_s = max(config.max_hover_velocity_sigma_m_s, config.max_velocity_sigma * speed_m_s)
+    return None if sigma_m_s <= allowed_m_s else uncertain_velocity(speed_m_s, sigma_m_s, allowed_m_s)
 
 
 class Initializer:
@@ -106,7 +114,7 @@ class Initializer:
         self._gyro_bias, self._accel_bias = gauge.gyro_bias, gauge.accel_bias
         self._window: list[FramePacket] = []
         self._last_attempt_ns = self._replenished_ns = 0
-        self._last_reason = NotObservable("no initialization has been attempted")
+        self._last_reason = NotObservable("no images so far")
 
     @property
     def gyro_bias(self) -> BiasPrior:
@@ -148,14 +156,14 @@ class Initializer:
         self.collect(packet)
         if not packet.has_image:
             return self._last_reason
-        if stationary_s > 0.0:
+        if stationary_s >= MOTION_DETECTION_DELAY_S:  # a shorter time is that between two frames of a slow motion
             return self._static(self._since(t_ns, stationary_s), calibration, gauge, noise)
         stereo = is_stereo(self._window, c.dynamic)
         needed_s = c.dynamic.stereo_window_s if stereo else c.dynamic.window_s
         window = self._since(t_ns, needed_s)
-        span_s = (t_ns - window[0].t_ns + TIME_TOLERANCE_NS) * 1e-9
-        if span_s < needed_s:
-            return NotObservable(f"{span_s:.1f} s of frames; {needed_s:g} s are needed")
+        span_s = (t_ns - window[0].t_ns) * 1e-9
+        if span_s < needed_s - TIME_TOLERANCE_NS * 1e-9:
+            return too_short(span_s, c.static_window_s, needed_s)
         if t_ns - self._last_attempt_ns < c.dynamic.attempt_interval_s * 1e9:
             return self._last_reason
         self._last_attempt_ns = t_ns
@@ -169,22 +177,24 @@ class Initializer:
     def _static(
         self, window: Sequence[FramePacket], calibration: Calibration, gauge: Gauge, noise: ImuNoiseEstimator
     ) -> KeyframeSmoother | NotObservable:
+        needed_s = self._config.static_window_s
         if len(window) < 2:
-            return NotObservable("one frame since the start of the initialization")
+            return NotObservable(f"one frame since the start of the initialization; at rest {needed_s:g} s are needed")
         increments = [packet.increments for packet in window[1:]]
         self._gyro_bias = BiasPrior(mean_angular_velocity(increments), 0.0)
-        span_s = (window[-1].t_ns - window[0].t_ns + TIME_TOLERANCE_NS) * 1e-9
-        if span_s < self._config.static_window_s:
-            return NotObservable(f"stationary for {span_s:.1f} s; {self._config.static_window_s:g} s are needed")
-        force_m_s2 = np.concatenate([part.accel_m_s2 for part in increments])
-        implausible = implausible_force(force_m_s2, noise.params.gravity_m_s2)
+        span_s = (window[-1].t_ns - window[0].t_ns) * 1e-9
+        if span_s < needed_s - TIME_TOLERANCE_NS * 1e-9:
+            known = rounded_down(span_s)
+            return NotObservable(f"stationary for {known} s; for a start at rest {needed_s:g} s are needed")
+        whole = joined(increments)
+        implausible = implausible_imu(whole.gyro_rad_s, whole.accel_m_s2, noise.params.gravity_m_s2)
         if implausible is not None:
             return implausible
         noise.add_stationary(increments)
         start = initialize_static(window[0].t_ns, increments)
         sigmas = self._config.static_sigmas
         smoother, _ = self._adjusted(start, sigmas, window, calibration, gauge, noise.params, stationary=True)
-        return smoother or NotObservable("the smoother finds no solution")
+        return smoother or NotObservable(NO_SOLUTION)
 
     def _dynamic(
         self, window: Sequence[FramePacket], calibration: Calibration, gauge: Gauge, params: PreintegrationParams
@@ -205,13 +215,21 @@ class Initializer:
         smoother, error_px = self._adjusted(
             start.state, c.dynamic_sigmas, agreeing, calibration, gauge, params, stationary=False
         )
-        if smoother is not None and error_px <= c.dynamic.max_residual_sigmas * c.dynamic.pixel_sigma:
+        allowed_px = c.dynamic.max_residual_sigmas * c.dynamic.pixel_sigma
+        if smoother is None:
+            return NotObservable(NO_SOLUTION)
+        if error_px <= allowed_px:
             return smoother
-        return NotObservable(f"a median reprojection error of {error_px:.1f} px")
+        return NotObservable(
+            f"images and IMU agree within {error_px:.1f} px only, {allowed_px:g} px are needed: steady motion past near"
+            " objects that do not move helps"
+        )
 
     def _since(self, t_ns: int, span_s: float) -> list[FramePacket]:
-        """Return the packets of the last ``span_s`` seconds."""
-        return [packet for packet in self._window if t_ns - packet.t_ns <= span_s * 1e9 + TIME_TOLERANCE_NS]
+        """Return the fewest packets that span the last ``span_s`` seconds, or all that there are."""
+        begin_ns = t_ns - span_s * 1e9 + TIME_TOLERANCE_NS
+        first = sum(packet.t_ns <= begin_ns for packet in self._window) - 1  # at any frame rate, the last one before
+        return self._window[max(first, 0) :]
 
     def _adjusted(
         self,

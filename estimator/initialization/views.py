@@ -86,6 +86,11 @@ class ImuWindow:
         )
 
     @property
+    def gyro_rad_s(self) -> Array:
+        """(N, 3) Angular velocities, bias included [rad/s]."""
+        return self._increments.gyro_rad_s
+
+    @property
     def accel_m_s2(self) -> Array:
         """(N, 3) Specific forces [m/s²]."""
         return self._increments.accel_m_s2
@@ -120,7 +125,8 @@ class WindowMeasurements:
         Args:
             window: Consecutive frame packets.
             Ts_imu_cam: (C, 4, 4) Poses of the rig's cameras in the IMU frame.
-            max_frames: Largest number of frames that are used; of a longer window, every second or third frame is.
+            max_frames: Largest number of frames that are used, spread evenly over the window; those with matches are
+                used in any case.
             min_observations: Smallest number of used frames in which a landmark must be observed; half of them suffice.
         """
         tracks = collect_tracks(window, max_frames, min_observations)
@@ -149,8 +155,8 @@ class WindowMeasurements:
 
 def collect_tracks(window: Sequence[FramePacket], max_frames: int, min_observations: int) -> Tracks:
     """Arrange the observations of all landmarks that enough of the frames observe; see `WindowMeasurements.of`."""
-    stride = -(-len(window) // max_frames)
-    used = [k for k, packet in enumerate(window) if k % stride == 0 or len(packet.observations.matches)]
+    spread = np.rint(np.linspace(0, len(window) - 1, min(max_frames, len(window)))).astype(np.int64)
+    used = [k for k, packet in enumerate(window) if k in spread or len(packet.observations.matches)]
     observations = [window[k].observations for k in used]
     ids, counts = np.unique(np.concatenate([frame.ids for frame in observations]), return_counts=True)
     ids = ids[counts >= min(min_observations, len(used) // 2)]

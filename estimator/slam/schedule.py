@@ -1,4 +1,4 @@
-"""When the answers of the map take effect: after numbers of frames that do not depend on the machine's speed."""
+"""When the answers of the map take effect: after times by time stamps, which do not depend on the machine's speed."""
 
 import math
 from collections import deque
@@ -7,25 +7,30 @@ from typing import Annotated
 
 from dronevio.models.ranges import Range, Settings
 
+TIME_TOLERANCE_NS = 1_000_000
+"""Tolerance of times, because time stamps are rounded and jitter [ns]."""
+
 
 @dataclass(frozen=True)
 class DelayConfig(Settings):
     """Settings of the delay between a keyframe that joins the map and the correction by it.
 
-    The delay depends on numbers of keyframes and loops alone, so that results do not depend on the machine.
-    A worker that is slower than the delay makes frames wait.
+    The delay depends on time stamps and on numbers of keyframes and loops alone, so that results do not depend on the
+    machine. A worker that is slower than the delay makes frames wait.
     """
 
-    frames: Annotated[int, Range(1, 1000)] = 6
-    """Delay with an empty map, in frames."""
-    loops_per_frame: Annotated[int, Range(1, 1_000_000)] = 100
-    """Number of loops by which the delay grows by one frame, since the optimization of the pose graph takes longer."""
-    keyframes_per_frame: Annotated[int, Range(1, 1_000_000)] = 500
-    """Number of keyframes of the map by which the delay grows by one frame."""
+    initial_s: Annotated[float, Range(0.001, 60.0)] = 0.3
+    """Delay with an empty map [s]."""
+    step_s: Annotated[float, Range(0.001, 60.0)] = 0.05
+    """Time by which the delay grows with the map, and time between the corrections of successive keyframes [s]."""
+    loops_per_step: Annotated[int, Range(1, 1_000_000)] = 100
+    """Number of loops by which the delay grows by one step, since the optimization of the pose graph takes longer."""
+    keyframes_per_step: Annotated[int, Range(1, 1_000_000)] = 500
+    """Number of keyframes of the map by which the delay grows by one step."""
 
 
 class CorrectionSchedule:
-    """The frames at which the answers to the messages of an odometry are due, in the order of the messages."""
+    """The times at which the answers to the messages of an odometry are due, in the order of the messages."""
 
     def __init__(self, config: DelayConfig) -> None:
         """Begin without messages.
@@ -34,27 +39,28 @@ class CorrectionSchedule:
             config: The delay.
         """
         self._config = config
-        self._due: deque[int] = deque()
-        self._last = 0
+        self._due_ns: deque[int] = deque()
+        self._last_ns: int | None = None
 
-    def add(self, frame: int, keyframes: int, loops: int) -> None:
-        """Add a message. Messages at one frame have answers that are due at consecutive frames.
+    def add(self, t_ns: int, keyframes: int, loops: int) -> None:
+        """Add a message. Messages at one frame have answers that are due one step after another.
 
         Args:
-            frame: Number of the frame at which the message is sent.
+            t_ns: Time stamp of the frame at which the message is sent [ns].
             keyframes: Number of keyframes that have been sent.
             loops: Number of loops that have been received in answers that were due.
         """
-        c = self._config
-        delay = c.frames + loops // c.loops_per_frame + keyframes // c.keyframes_per_frame
-        self._last = max(frame + delay, self._last + 1)
-        self._due.append(self._last)
+        c, step_ns = self._config, round(self._config.step_s * 1e9)
+        steps = loops // c.loops_per_step + keyframes // c.keyframes_per_step
+        due_ns = t_ns + round(c.initial_s * 1e9) + steps * step_ns
+        self._last_ns = due_ns if self._last_ns is None else max(due_ns, self._last_ns + step_ns)
+        self._due_ns.append(self._last_ns)
 
-    def take_due(self, frame: int) -> int:
-        """Return the number of answers that are due at a frame, and remove them."""
+    def take_due(self, t_ns: int) -> int:
+        """Return the number of answers that are due at a frame with a time stamp [ns], and remove them."""
         count = 0
-        while self._due and self._due[0] <= frame:
-            self._due.popleft()
+        while self._due_ns and self._due_ns[0] <= t_ns + TIME_TOLERANCE_NS:
+            self._due_ns.popleft()
             count += 1
         return count
 

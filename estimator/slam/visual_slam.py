@@ -137,10 +137,10 @@ class VisualSlam:
                 self._measurements.add(message.estimate.t_ns, message.measured)
             self._map.send(message)
             self._sent += 1
-            self._schedule.add(self._frames, self._sent, self._loops)
+            self._schedule.add(frame.t_ns, self._sent, self._loops)
         events: list[str] = []
         closed: tuple[tuple[int, int], ...] = ()
-        for _ in range(self._schedule.take_due(self._frames)):
+        for _ in range(self._schedule.take_due(frame.t_ns)):
             correction = self._map.receive()
             if correction is None:
                 continue

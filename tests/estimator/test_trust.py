@@ -117,3 +117,31 @@ def test_a_loss_requires_a_full_window() -> None:
 def test_the_median_counts_in_a_window_of_two_frames() -> None:
     short = replace(LIMITS, window_s=0.05)
     assert trusted_frames([1.0, 16.0], short) == [True, False]
+
+
+@pytest.mark.parametrize(("rate_hz", "frames"), [(20, 1), (60, 5), (200, 18)])
+def test_jolt_at_the_start_is_short_at_any_frame_rate(rate_hz: int, frames: int) -> None:
+    """A tenth of a second is needed for a median after an initialization, however many frames it has."""
+    for count, trusted in ((frames, True), (frames + 5, False)):
+        trust = Trust(LIMITS, is_trusted=True)
+        for k in range(count):
+            trust.update(round(k * 1e9 / rate_hz), 50.0, moves=True)
+        assert trust.is_trusted is trusted
+
+
+@pytest.mark.parametrize("error_ns", [0, 128, 100_000])
+def test_median_counts_in_every_frame_of_a_full_window(error_ns: int) -> None:
+    """Whether a frame is just older than the window, or just not, is a matter of its rounded time stamp."""
+    trust, medians = Trust(LIMITS, is_trusted=True), []
+    for k in range(60):
+        trust.update(k * STEP_NS + (k % 3) * error_ns, 7.0, moves=True)
+        medians.append(trust.median_nis)
+    assert medians == [0.0] * 12 + [7.0] * 48
+
+
+def test_median_counts_with_few_frames_in_the_window() -> None:
+    """At 2 Hz, a window of 0.6 s has one or two frames."""
+    trust = Trust(LIMITS, is_trusted=True)
+    for k in range(5):
+        trust.update(k * 500_000_000, 20.0, moves=True)
+    assert not trust.is_trusted and trust.median_nis == 20.0

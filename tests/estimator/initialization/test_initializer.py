@@ -1,6 +1,6 @@
 """The initializer: when a window of frame packets yields a smoother, on synthetic flights."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -11,13 +11,14 @@ from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimator.backend.keyframes import KeyframeConfig, KeyframePolicy
 from dronevio.estimator.backend.landmarks import LandmarkConfig
 from dronevio.estimator.backend.smoother import KeyframeSmoother
-from dronevio.estimator.imu.buffer import ImuBuffer
+from dronevio.estimator.imu.buffer import ImuBuffer, Increments
 from dronevio.estimator.imu.noise import ImuNoiseEstimator, NoiseEstimationConfig
 from dronevio.estimator.imu.preintegration import PreintegrationConfig
+from dronevio.estimator.initialization import initializer as module
 from dronevio.estimator.initialization.gauge import Gauge, LastPublished, WorldOrigin
 from dronevio.estimator.initialization.initializer import Initializer, InitializerConfig
 from dronevio.estimator.initialization.not_observable import FORCE_IS_NOT_GRAVITY, NotObservable
-from dronevio.estimator.types import Calibration, FramePacket, Matches
+from dronevio.estimator.types import NO_FEATURES, Calibration, FramePacket, Matches
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import rig_named
@@ -27,6 +28,7 @@ from tests.estimator.initialization.test_dynamic import DISTANT
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
 
+MakeFlight = Callable[..., "SyntheticFlight"]
 FRAME_S = 0.05
 CONFIG = InitializerConfig()
 
@@ -181,3 +183,66 @@ def test_frames_can_be_collected_before_an_attempt(make_flight: Callable[..., "S
     for packet in packets[:-1]:
         initializer.collect(packet)
     assert isinstance(add(initializer, flight, packets[-1], 0.0, gauge), KeyframeSmoother)
+
+
+def packets_at(t_s: Sequence[float], t0_ns: int = 10**18) -> list[FramePacket]:
+    """Return packets without features at some times [s], with the IMU of a vehicle at rest."""
+    t_ns = t0_ns + np.rint(np.asarray(t_s) * 1e9).astype(np.int64)
+    packets = []
+    for before_ns, now_ns in zip([t_ns[0], *t_ns[:-1]], t_ns, strict=True):
+        dt_s = np.full(4, (now_ns - before_ns) * 0.25e-9)
+        increments = Increments(dt_s, np.zeros((4, 3)), np.tile([0.0, 0.0, GRAVITY_M_S2], (4, 1)))
+        packets.append(FramePacket(int(now_ns), increments, NO_FEATURES))
+    return packets
+
+
+@pytest.mark.parametrize("jitter_s", [0.0, 1e-4, 3e-3])
+@pytest.mark.parametrize("rate_hz", [1.0, 2.0, 7.3, 10.0, 12.5, 15.0, 24.0, 25.0, 29.97, 30.0, 60.0, 200.0])
+def test_window_spans_its_time_at_any_frame_rate(
+    make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch, rate_hz: float, jitter_s: float
+) -> None:
+    """The first attempt is at the first frame at which there are images for that time, and by no frame more."""
+    gauge, windows, flight = WorldOrigin(0.05, 0.1), [], make_flight(0)
+    t_s = np.arange(0.0, 3.5, 1.0 / rate_hz)
+    t_s = t_s + min(jitter_s, 0.3 / rate_hz) * np.random.default_rng(0).uniform(-1.0, 1.0, len(t_s))
+
+    def attempted(window: Sequence[FramePacket], *_: object, **__: object) -> NotObservable:
+        windows.append(window)
+        return NotObservable("nothing but the window counts")
+
+    monkeypatch.setattr(module, "initialize_dynamic", attempted)
+    initializer, needed_s, waited = initializer_at(gauge), CONFIG.dynamic.window_s, []
+    for packet in packets_at(t_s):
+        result = add(initializer, flight, packet, 0.0, gauge)
+        assert isinstance(result, NotObservable)
+        waited += [] if windows else [result.reason]
+    spans_s = [(window[-1].t_ns - window[0].t_ns) * 1e-9 for window in windows]
+    assert windows[0][-1].t_ns == 10**18 + round(t_s[np.argmax(t_s - t_s[0] >= needed_s - 1e-3)] * 1e9)
+    assert needed_s - 1e-3 <= spans_s[0] <= needed_s + 2.0 / rate_hz
+    assert all(needed_s - 1e-3 <= span_s <= CONFIG.dynamic.max_window_s + 2.0 / rate_hz for span_s in spans_s)
+    assert all(f"{needed_s:.2f} s of images" not in reason and "in motion 1.5 s" in reason for reason in waited)
+
+
+def test_rest_between_two_frames_is_no_rest(make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At a high frame rate, a slow motion moves the image by less than the threshold from one frame to the next."""
+    gauge, attempts, flight = WorldOrigin(0.05, 0.1), [], make_flight(0)
+
+    def attempted(window: Sequence[FramePacket], *_: object, **__: object) -> NotObservable:
+        attempts.append(window)
+        return NotObservable("a reason in motion")
+
+    monkeypatch.setattr(module, "initialize_dynamic", attempted)
+    initializer, result = initializer_at(gauge), None
+    for index, packet in enumerate(packets_at(np.arange(0.0, 2.0, 1.0 / 60.0))):
+        result = add(initializer, flight, packet, (index % 3) / 60.0, gauge)
+    assert attempts and isinstance(result, NotObservable) and result.reason == "a reason in motion"
+    np.testing.assert_array_equal(initializer.gyro_bias.mean, gauge.gyro_bias.mean)  # not the rotation of two frames
+    assert initializer.gyro_bias.sigma == gauge.gyro_bias.sigma
+
+
+def test_reason_without_any_image(make_flight: MakeFlight) -> None:
+    gauge, flight = WorldOrigin(0.05, 0.1), make_flight(0)
+    initializer = initializer_at(gauge)
+    for packet in packets_at([0.0, 0.05]):
+        result = add(initializer, flight, replace(packet, has_image=False), 0.0, gauge)
+        assert isinstance(result, NotObservable) and result.reason == "no images so far"

@@ -24,6 +24,7 @@ from dronevio.estimator.initialization.not_observable import (
     FORCE_IS_NOT_GRAVITY,
     MOTION_DISAGREES,
     ROTATION_DISAGREES,
+    SENSORS_SWAPPED,
     NotObservable,
 )
 from dronevio.estimator.initialization.refinement import refine
@@ -189,6 +190,7 @@ MISTAKES = {
     "extrinsics": (EYE, EYE, 90.0, ROTATION_DISAGREES),
     "axes of the accelerometer": (EYE, SWAPPED, 0.0, ACCEL_DISAGREES),
     "accelerometer in g": (EYE, EYE / GRAVITY_M_S2, 0.0, FORCE_IS_NOT_GRAVITY),
+    "both in other units": (np.degrees(1.0) * EYE, EYE / GRAVITY_M_S2, 0.0, FORCE_IS_NOT_GRAVITY),
 }
 
 
@@ -202,6 +204,24 @@ def test_cause_of_a_failed_start_is_stated(make_flight: MakeFlight, mistake: str
         window, turned(flight, degrees), focal_px, DynamicInitializationConfig(), UNKNOWN, UNKNOWN_ACCEL
     )
     assert isinstance(found, NotObservable) and found.cause == cause
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_swapped_sensors_are_recognized(make_flight: MakeFlight, seed: int) -> None:
+    """What is called a gyroscope reads a constant 9.8, and the accelerometer nearly nothing: no question of units."""
+    flight = make_flight(seed, rest_s=-5.0, duration_s=2.0)
+    window, focal_px = window_of(flight), flight.rig.cameras[0].model.fx
+    swapped = [
+        replace(
+            p, increments=replace(p.increments, gyro_rad_s=p.increments.accel_m_s2, accel_m_s2=p.increments.gyro_rad_s)
+        )
+        for p in window
+    ]
+    found = initialize_dynamic(
+        swapped, turned(flight, 0.0), focal_px, DynamicInitializationConfig(), UNKNOWN, UNKNOWN_ACCEL
+    )
+    assert isinstance(found, NotObservable) and found.cause == SENSORS_SWAPPED
+    assert "units" not in str(found)
 
 
 @pytest.mark.parametrize(
@@ -231,7 +251,8 @@ def test_singular_refinement_is_no_start(make_flight: MakeFlight, monkeypatch: p
     flight = make_flight(0, rest_s=-5.0, duration_s=2.0)
     focal_px, Ts = flight.rig.cameras[0].model.fx, turned(flight, 0.0)
     found = initialize_dynamic(window_of(flight), Ts, focal_px, DynamicInitializationConfig(), UNKNOWN, UNKNOWN_ACCEL)
-    assert isinstance(found, NotObservable) and found.reason == "the refinement finds no solution" and found.cause
+    assert isinstance(found, NotObservable) and found.cause
+    assert found.reason == "no motion explains images and IMU together"
 
 
 def noise_of(accel_bias_sigma_m_s2: float) -> NoiseModel:

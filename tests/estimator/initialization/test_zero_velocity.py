@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dronevio.estimator.imu.buffer import Increments
+from dronevio.estimator.imu.buffer import NO_INCREMENTS, Increments
 from dronevio.estimator.initialization.zero_velocity import ZeroVelocityConfig, ZeroVelocityDetector
 from dronevio.estimator.types import Observations
 from dronevio.models.imu import GRAVITY_M_S2
@@ -114,3 +114,24 @@ def test_frames_without_an_image_are_tested_by_the_imu() -> None:
     assert detector.stationary_s == pytest.approx(4 * FRAME_NS * 1e-9)
     detector.update(6 * FRAME_NS, None, imu_increments(gyro=2.0 * CONFIG.max_gyro_rad_s))
     assert detector.stationary_s == 0.0
+
+
+@pytest.mark.parametrize("rate_hz", [10, 20, 60, 200])
+def test_vibration_at_rest_is_no_motion_at_any_frame_rate(rate_hz: int) -> None:
+    """A vibration of 40 Hz vanishes in a mean over a twentieth of a second, though not between two frames."""
+    detector, stationary_s = ZeroVelocityDetector(CONFIG), 0.0
+    t_ns = 10**18 + np.rint(np.arange(0.0, 0.5, 1.0 / rate_hz) * 1e9).astype(np.int64)
+    imu_ns = np.arange(t_ns[0], t_ns[-1] + 1, 5_000_000)
+    accel_m_s2 = GRAVITY_M_S2 + 4.0 * np.sin(2.0 * np.pi * 40.0 * (imu_ns - t_ns[0]) * 1e-9)
+    for k, now_ns in enumerate(t_ns.tolist()):
+        rows = (imu_ns > t_ns[max(k - 1, 0)]) & (imu_ns <= now_ns)
+        samples = np.column_stack([accel_m_s2, *np.zeros((2, len(imu_ns)))])[rows]
+        detector.update(now_ns, observed(seed=k), Increments(np.full(len(samples), 0.005), 0.0 * samples, samples))
+        stationary_s = detector.stationary_s
+    assert stationary_s > 0.35  # but for the first frames, before there are readings for the time
+
+
+def test_a_gap_of_the_imu_is_no_rest() -> None:
+    """Readings before the gap do not stand for those that are missing."""
+    frames = [(observed(seed=k), imu_increments() if k != 5 else NO_INCREMENTS) for k in range(8)]
+    np.testing.assert_allclose(stationary_times(frames)[5:], [0.0, 0.05, 0.1], atol=1e-12)

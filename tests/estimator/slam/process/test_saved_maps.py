@@ -18,14 +18,19 @@ from dronevio.estimator.slam.map_file import read_map
 from dronevio.estimator.slam.odometry_factors import RelativePose
 from dronevio.estimator.slam.pose_graph import optimize
 from dronevio.estimator.slam.saved_map import FIRST_KNOWN_LANDMARK, LAST_KNOWN_NS, SavedMap, saved_map
-from dronevio.estimator.slam.schedule import DelayConfig
 from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import inverse_pose
 from dronevio.models.state import CameraFrame, Estimate
 from tests.estimator.slam.process.conftest import DRIFT_M, PLACES, keyframe, one_camera
-from tests.estimator.slam.process.test_visual_slam import DELAY, T_SECOND_FIRST, ScriptedOdometry, in_second_frame
+from tests.estimator.slam.process.test_visual_slam import (
+    CORRECTION_DELAY,
+    DELAY,
+    T_SECOND_FIRST,
+    ScriptedOdometry,
+    in_second_frame,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -49,7 +54,7 @@ def fly(
     rig = one_camera()
     keyframes = [in_second_frame(keyframe(rig, place, 1)) for place in second_lap]
     monkeypatch.setattr(visual_slam, "VisualInertialOdometry", ScriptedOdometry(keyframes))
-    config = SlamConfig(worker=False, correction_delay=DelayConfig(frames=DELAY))
+    config = SlamConfig(worker=False, correction_delay=CORRECTION_DELAY)
     slam = VisualSlam(rig, config=config, map=saved, localize_only=localize_only)
     return slam, [slam.add_frame(_frame(message)) for message in keyframes]
 

@@ -1,4 +1,6 @@
-"""The schedules of corrections and adjustments: when they are due, by counts alone."""
+"""The schedules of corrections and adjustments: when they are due, by time stamps and counts alone."""
+
+import pytest
 
 from dronevio.estimator.slam.schedule import (
     AdjustmentSchedule,
@@ -7,40 +9,50 @@ from dronevio.estimator.slam.schedule import (
     DelayConfig,
 )
 
+PERIOD_NS = 50_000_000
 
-def due_frames(schedule: CorrectionSchedule, frames: int = 200) -> list[int]:
+
+def due_frames(schedule: CorrectionSchedule, frames: int = 200, period_ns: int = PERIOD_NS) -> list[int]:
     """Return the frame at which each answer is due."""
-    return [frame for frame in range(frames) for _ in range(schedule.take_due(frame))]
+    return [frame for frame in range(frames) for _ in range(schedule.take_due(frame * period_ns))]
 
 
-def test_delay_is_the_number_of_frames() -> None:
-    schedule = CorrectionSchedule(DelayConfig(frames=6))
-    schedule.add(10, keyframes=1, loops=0)
-    schedule.add(14, keyframes=2, loops=0)
-    assert due_frames(schedule) == [16, 20]
+@pytest.mark.parametrize(("rate_hz", "expected"), [(20.0, [16, 20]), (60.0, [48, 60]), (12.0, [10, 12])])
+def test_delay_is_a_time_at_any_frame_rate(rate_hz: float, expected: list[int]) -> None:
+    """Answers 0.3 s after messages at 0.5 s and 0.7 s, at the first frame from then on."""
+    schedule = CorrectionSchedule(DelayConfig(initial_s=0.3))
+    schedule.add(500_000_000, keyframes=1, loops=0)
+    schedule.add(700_000_000, keyframes=2, loops=0)
+    assert due_frames(schedule, period_ns=round(1e9 / rate_hz)) == expected
+
+
+def test_rounded_time_stamps_do_not_delay_a_frame() -> None:
+    schedule = CorrectionSchedule(DelayConfig(initial_s=0.3))
+    schedule.add(500_000_128, keyframes=1, loops=0)
+    assert [schedule.take_due(t_ns) for t_ns in (750_000_000, 800_000_000)] == [0, 1]
 
 
 def test_delay_grows_with_loops_and_keyframes() -> None:
-    schedule = CorrectionSchedule(DelayConfig(frames=6, loops_per_frame=100, keyframes_per_frame=500))
-    schedule.add(10, keyframes=499, loops=99)  # 6
-    schedule.add(20, keyframes=500, loops=99)  # 6 + 1
-    schedule.add(30, keyframes=1000, loops=250)  # 6 + 2 + 2
+    schedule = CorrectionSchedule(DelayConfig(initial_s=0.3, step_s=0.05, loops_per_step=100, keyframes_per_step=500))
+    schedule.add(10 * PERIOD_NS, keyframes=499, loops=99)  # 0.3 s
+    schedule.add(20 * PERIOD_NS, keyframes=500, loops=99)  # one step more
+    schedule.add(30 * PERIOD_NS, keyframes=1000, loops=250)  # four steps more
     assert due_frames(schedule) == [16, 27, 40]
 
 
 def test_messages_of_one_frame_are_due_one_after_another() -> None:
-    schedule = CorrectionSchedule(DelayConfig(frames=3))
+    schedule = CorrectionSchedule(DelayConfig(initial_s=0.15))
     for number in range(4):
-        schedule.add(10, keyframes=number, loops=0)
-    schedule.add(11, keyframes=5, loops=0)
+        schedule.add(10 * PERIOD_NS, keyframes=number, loops=0)
+    schedule.add(11 * PERIOD_NS, keyframes=5, loops=0)
     assert due_frames(schedule) == [13, 14, 15, 16, 17]
 
 
 def test_answers_that_are_overdue_are_taken_together() -> None:
-    schedule = CorrectionSchedule(DelayConfig(frames=1))
-    schedule.add(1, keyframes=1, loops=0)
-    schedule.add(2, keyframes=2, loops=0)
-    assert [schedule.take_due(frame) for frame in (1, 5, 6)] == [0, 2, 0]
+    schedule = CorrectionSchedule(DelayConfig(initial_s=0.05))
+    schedule.add(PERIOD_NS, keyframes=1, loops=0)
+    schedule.add(2 * PERIOD_NS, keyframes=2, loops=0)
+    assert [schedule.take_due(frame * PERIOD_NS) for frame in (1, 5, 6)] == [0, 2, 0]
 
 
 def test_adjustments_begin_with_loops_and_with_growth() -> None:

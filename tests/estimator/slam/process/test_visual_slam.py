@@ -20,7 +20,7 @@ from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import pose_matrix, rotation_z
 from dronevio.models.state import CameraFrame, Estimate, Health, NavState, Trajectory
-from tests.estimator.slam.process.conftest import DRIFT_M, PLACES, keyframe, one_camera
+from tests.estimator.slam.process.conftest import DRIFT_M, INTERVAL_NS, PLACES, keyframe, one_camera
 
 Array = npt.NDArray[np.float64]
 
@@ -28,6 +28,8 @@ T_SECOND_FIRST = pose_matrix(rotation_z(1.0), np.array([10.0, -20.0, 3.0]))
 """Pose of the first odometry frame in that after the loss."""
 DELAY = 2
 """Delay of corrections in frames."""
+CORRECTION_DELAY = DelayConfig(initial_s=DELAY * INTERVAL_NS * 1e-9, step_s=INTERVAL_NS * 1e-9)
+"""The same as a time."""
 
 
 @dataclass
@@ -95,7 +97,7 @@ def run(
     """Return visual SLAM after a flight, and its estimates."""
     odometry = ScriptedOdometry(keyframes, np.eye(4) if causal_error is None else causal_error)
     monkeypatch.setattr(visual_slam, "VisualInertialOdometry", odometry)
-    config = SlamConfig(worker=False, correction_delay=DelayConfig(frames=DELAY))
+    config = SlamConfig(worker=False, correction_delay=CORRECTION_DELAY)
     slam, estimates, t_ns = VisualSlam(one_camera(), config=config), [], 0
     for message in keyframes:
         t_ns = t_ns + 50_000_000 if message is None else message.estimate.t_ns
