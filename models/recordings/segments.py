@@ -8,19 +8,21 @@ the others go on. Only what the streams have in common tells a step of the clock
 A stream whose stamps step back alone, while time goes on in the others, has a clock of its own, and its step is undone.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.defects import Defect, DefectKind
+from dronevio.models.errors import InputError
 from dronevio.models.imu import Times
 
 if TYPE_CHECKING:
     from dronevio.models.protocols import Recording
 
-Array = npt.NDArray[np.float64]
+Part = TypeVar("Part")
 
 MIN_FALL_S = 0.1
 """Smallest fall of the time stamps from one row to the next that is a step [s]."""
@@ -71,6 +73,29 @@ class Split:
     """The steps that all streams have in common: for each of them, its step in each stream."""
     lone: tuple[tuple[Step, ...], ...]
     """The steps of each stream that were undone."""
+
+    def defects(self, segment: int, places: Sequence[Callable[[int], str]]) -> tuple[Defect, ...]:
+        """Return the step at the end of a segment, and the steps of one stream alone that were undone in it.
+
+        Args:
+            segment: Index of the segment.
+            places: For each stream, a function that returns the place of a row.
+        """
+        found = []
+        for stream, steps in enumerate(self.lone):
+            rows = self.rows(stream)[segment]
+            found += [
+                Defect(DefectKind.LONE_CLOCK_STEP, step.before_ns, f"{places[stream](step.row)}: {step}")
+                for step in steps
+                if rows.start <= step.row < rows.stop
+            ]
+        if segment < len(self.steps):
+            step, *others = zip(self.steps[segment], places, strict=True)
+            also = "".join(f"; {place(other.row)}" for other, place in others)
+            found.append(
+                Defect(DefectKind.CLOCK_STEP, step[0].before_ns, f"{step[1](step[0].row)}: {step[0]}{also}")
+            )
+        return tuple(found)
 
     def rows(self, stream: int) -> tuple[slice, ...]:
         """Return the rows of a stream in each segment; there is one more segment than steps."""
@@ -156,6 +181,37 @@ def common_steps(streams: Sequence[Sequence[Step]], offsets_ns: Sequence[int]) -
     return tuple(found)
 
 
+def usable_segments(count: int, read: Callable[[int], Part]) -> Iterator[tuple[Part, tuple[Defect, ...]]]:
+    """Yield the segments that can be read, each with the defects of those before it that cannot.
+
+    Args:
+        count: Number of segments.
+        read: Returns the segment of an index, or raises InputError.
+
+    Raises:
+        InputError: No segment can be read.
+    """
+    left_out: list[Defect] = []
+    first: InputError | None = None
+    any_read = False
+    for index in range(count):
+        try:
+            part = read(index)
+        except InputError as error:
+            first = first or error
+            left_out.append(Defect(DefectKind.UNUSABLE_SEGMENT, 0, f"segment {index + 1} of {count}: {error}"))
+            continue
+        yield part, tuple(left_out)
+        left_out, any_read = [], True
+    if not any_read and first is not None:
+        raise first
+
+
+def segment_name(name: str, number: int, count: int) -> str:
+    """Return the name of a segment, counted from 1, of a recording; that of the recording if it is the only one."""
+    return name if count == 1 else f"{name}, segment {number} of {count}"
+
+
 def segments_of(recording: "Recording") -> "tuple[Recording, ...]":
     """Return the segments of a recording: itself, and those after steps of its clock."""
     later: tuple[Recording, ...] = getattr(recording, "later", ())
@@ -175,7 +231,7 @@ def _same(one: Step, other: Step, offset_ns: int) -> bool:
 def _between(rows: Sequence[int], count: int) -> tuple[slice, ...]:
     """Return the slices of ``count`` rows that begin at the first row and at the given ones."""
     edges = [0, *rows, count]
-    return tuple(slice(start, end) for start, end in zip(edges[:-1], edges[1:], strict=True))
+    return tuple(slice(start, end) for start, end in pairwise(edges))
 
 
 def _without(t_ns: Times, falls: Sequence[Step], segments: Sequence[slice]) -> tuple[Times, tuple[Step, ...]]:
