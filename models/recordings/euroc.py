@@ -383,14 +383,32 @@ def read_groundtruth(path: Path | str) -> Trajectory:
 
 
 def read_euroc_frame_times(folder: Path | str) -> Times:
-    """Return the time stamps (M,) [ns] of the frames of the main camera in an EuRoC folder.
+    """Return the time stamps (M,) [ns] of the frames of the main camera in an EuRoC folder, or its first segment.
 
     Raises:
         InputError: The file ``cam0/data.csv`` is missing or damaged.
     """
-    listed = ImageList.read(find_mav0(folder) / "cam0").ordered()[0]
-    exists = listed.existing()
-    return listed.t_ns[exists] if exists.any() else listed.t_ns  # a folder may be kept without its images
+    return read_euroc_segment_times(folder)[0]
+
+
+def read_euroc_segment_times(folder: Path | str) -> tuple[Times, ...]:
+    """Return the time stamps (M,) [ns] of the frames of the main camera in each segment of an EuRoC folder.
+
+    Raises:
+        InputError: The file ``cam0/data.csv`` is missing or damaged.
+    """
+    mav0 = find_mav0(folder)
+    listed = ImageList.read(mav0 / "cam0")
+    split = split_at_steps([listed.t_ns])
+    if len(split.steps):  # what the camera has in common with the IMU
+        table = read_timed_table(mav0 / "imu0" / "data.csv", IMU_TABLE, checked=False)
+        offset_ns = round(read_euroc_rig(mav0, 1).time_offset_s * 1e9)
+        split = split_at_steps([listed.t_ns, table.t_ns], [offset_ns, 0])
+    listed = replace(listed, t_ns=split.stamps[0])
+    segments = [listed.selected(np.arange(len(listed.t_ns))[rows]).ordered()[0] for rows in split.rows(0)]
+    # A folder may be kept without its images.
+    existing = [(each.t_ns, exists) for each in segments for exists in [each.existing()]]
+    return tuple(t_ns[exists] if exists.any() else t_ns for t_ns, exists in existing)
 
 
 def write_euroc(

@@ -9,7 +9,7 @@ A stream whose stamps step back alone, while time goes on in the others, has a c
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, TypeVar
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from dronevio.models.protocols import Recording
 
 Part = TypeVar("Part")
+SomeRecording = TypeVar("SomeRecording", bound="Recording")
 
 MIN_FALL_S = 0.1
 """Smallest fall of the time stamps from one row to the next that is a step [s]."""
@@ -92,9 +93,7 @@ class Split:
         if segment < len(self.steps):
             step, *others = zip(self.steps[segment], places, strict=True)
             also = "".join(f"; {place(other.row)}" for other, place in others)
-            found.append(
-                Defect(DefectKind.CLOCK_STEP, step[0].before_ns, f"{step[1](step[0].row)}: {step[0]}{also}")
-            )
+            found.append(Defect(DefectKind.CLOCK_STEP, step[0].before_ns, f"{step[1](step[0].row)}: {step[0]}{also}"))
         return tuple(found)
 
     def rows(self, stream: int) -> tuple[slice, ...]:
@@ -212,10 +211,20 @@ def segment_name(name: str, number: int, count: int) -> str:
     return name if count == 1 else f"{name}, segment {number} of {count}"
 
 
-def segments_of(recording: "Recording") -> "tuple[Recording, ...]":
-    """Return the segments of a recording: itself, and those after steps of its clock."""
-    later: tuple[Recording, ...] = getattr(recording, "later", ())
-    return (recording, *later)
+def segments_of(recording: SomeRecording) -> tuple[SomeRecording, ...]:
+    """Return the segments of a recording, each without later ones: itself, and those after steps of its clock."""
+    later: tuple[SomeRecording, ...] = getattr(recording, "later", ())
+    return (replace(recording, later=()), *later) if later else (recording,)  # type: ignore[type-var]
+
+
+def most_common(times: Sequence[Times], t_ns: Times) -> int:
+    """Return the index of the segment whose frames have the most of some time stamps; of equal ones the first.
+
+    Args:
+        times: (M,) Time stamps of the frames of each segment [ns].
+        t_ns: (N,) Time stamps of poses [ns].
+    """
+    return int(np.argmax([np.isin(t_ns, frames).sum() for frames in times]))
 
 
 def _same(one: Step, other: Step, offset_ns: int) -> bool:
