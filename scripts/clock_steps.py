@@ -63,9 +63,9 @@ class Cut:
     """A part of a recording, cut out by hand; is a `Recording`."""
 
     whole: Recording
-    """The recording."""
+    """The recording that is cut."""
     frames: slice
-    """Its frames."""
+    """Its frames in the part."""
 
     @property
     def name(self) -> str:

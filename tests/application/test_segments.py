@@ -85,7 +85,7 @@ def test_the_library_estimates_all_segments(estimated: Result, stepped: Path, tm
     np.testing.assert_array_equal(own.trajectory.p_world_imu, later.trajectory.p_world_imu)
 
 
-def test_an_estimate_is_evaluated_against_the_frames_of_its_segment(
+def test_estimates_are_evaluated_on_the_frames_of_their_segment(
     estimated: Result, stepped: Path, run_command: CommandRunner, tmp_path: Path
 ) -> None:
     for name, segment in zip(("e.tum", "e_2.tum"), segments_of(open_recording(stepped, repair=True)), strict=True):

@@ -253,7 +253,7 @@ def times(*t: int) -> Times:
     return np.array(t, dtype=np.int64)
 
 
-def test_one_unset_stamp_among_others_is_corrected_by_their_delay() -> None:
+def test_an_unset_stamp_among_others_is_corrected_by_their_delay() -> None:
     second = 10**9
     stamps = TopicStamps.of("/t", times(0, 6 * second, 7 * second), times(8 * second, 9 * second, 10 * second))
     assert stamps.t_ns.tolist() == [5 * second, 6 * second, 7 * second] and stamps.unset.tolist() == [
@@ -275,7 +275,7 @@ def test_stamps_that_are_set_stay(t: list[int]) -> None:
     assert stamps.t_ns.tolist() == t and not stamps.unset.any()
 
 
-def test_ros_1_bags_are_read_in_the_order_in_which_they_were_written(tmp_path: Path) -> None:
+def test_ros_1_bags_are_read_in_the_order_of_writing(tmp_path: Path) -> None:
     store = get_typestore(Stores.ROS1_NOETIC)
     kind = "std_msgs/msg/String"
     logged = [50, 60, 70, 20, 30, 40, 80]
