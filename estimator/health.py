@@ -95,7 +95,8 @@ class HealthConfig(Settings):
     It is the median over the last keyframes."""
     max_noise_ratio: Annotated[float, Range(above=0.0, infinite=True)] = 3.0
     """Largest ratio of the IMU's noise densities, as estimated in flight, to those of the data sheet in the covariance
-    of innovations, unless they are larger at rest. A wrong calibration increases the estimates without bound."""
+    of innovations, unless the samples themselves show more noise, at rest or by their spectrum. A wrong calibration
+    increases the estimates without bound."""
     max_inertial_sigma_m: Annotated[float, Range(above=0.0, infinite=True)] = 1.0
     """Largest increase of the position's standard deviation while the IMU alone propagates the estimate [m]. The IMU of
     EuRoC reaches it in some 10 s."""
@@ -123,7 +124,6 @@ class HealthMonitor:
         pixel_sigma: float,
         *,
         is_trusted: bool = True,
-        noise_at_rest: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         """Begin at an initialization.
 
@@ -132,14 +132,11 @@ class HealthMonitor:
             config: Settings.
             pixel_sigma: Standard deviation of an image observation [px].
             is_trusted: Whether the estimate counts as consistent from its beginning, not only after `distrust_s`.
-            noise_at_rest: Noise densities of gyroscope [rad/s/√Hz] and accelerometer [m/s²/√Hz] that were measured at
-                rest, where a wrong calibration does not increase them.
         """
         self._config, self._imu = config, imu
         self._pixel_sigma, self._image_variances = pixel_sigma, tuple[float, ...]()
         self._image_variance = 1.0  # of image observations relative to the assumed one
         self._noise_densities = imu.gyro_noise_density, imu.accel_noise_density
-        self._noise_at_rest = noise_at_rest
         self._trust = Trust(_limits(config), is_trusted=is_trusted)
         self._bias_sigmas = np.repeat(
             [
@@ -173,6 +170,7 @@ class HealthMonitor:
         landmarks: TriangulatedLandmarks,
         image_variance: float | None,
         noise_densities: tuple[float, float],
+        measured_densities: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         """Set what the next frames are compared with.
 
@@ -181,10 +179,11 @@ class HealthMonitor:
             landmarks: The landmarks that constrain the window.
             image_variance: Variance of the window's image observations relative to the assumed one; None if unknown.
             noise_densities: Estimates for gyroscope [rad/s/√Hz] and accelerometer [m/s²/√Hz].
+            measured_densities: Those that the samples themselves show, which a wrong calibration does not increase.
         """
         sheet, ratio = (self._imu.gyro_noise_density, self._imu.accel_noise_density), self._config.max_noise_ratio
-        known = zip(noise_densities, sheet, self._noise_at_rest, strict=True)
-        gyro, accel = (min(max(estimated, given), max(ratio * given, rest)) for estimated, given, rest in known)
+        known = zip(noise_densities, sheet, measured_densities, strict=True)
+        gyro, accel = (min(max(estimated, given), max(ratio * given, shown)) for estimated, given, shown in known)
         self._noise_densities = gyro, accel
         self._keyframe, self._landmarks = keyframe, landmarks
         if image_variance is not None:

@@ -133,8 +133,9 @@ class VisualInertialOdometry:
             ConfigError: A sample is not finite, or not later than the last one.
         """
         check_imu(samples)
-        self._pipeline.add_imu(samples)
-        self._imu_rate.push(samples)
+        used = self._pipeline.add_imu(samples)
+        self._noise.add_imu(used)
+        self._imu_rate.push(used)
 
     def state_at(self, t_ns: int) -> NavState | None:
         """Return the newest state, propagated by the IMU to its last sample not after a time; see `Estimator`."""
@@ -187,9 +188,7 @@ class VisualInertialOdometry:
         self._origin_m = smoother.state.T_world_imu[:3, 3]
         c, is_trusted = self._config, state.is_trusted and not self._publisher.has_stated_cause
         pixel_sigma = c.smoother.image_sigma_px(len(self._calibration.rig.cameras))
-        monitor = HealthMonitor(
-            self._imu, c.health, pixel_sigma, is_trusted=is_trusted, noise_at_rest=self._noise.at_rest
-        )
+        monitor = HealthMonitor(self._imu, c.health, pixel_sigma, is_trusted=is_trusted)
         if not stationary_s:
             monitor.begin_in_motion(smoother.state)
         self._state = self._tracking(smoother, monitor, packet.observations)
@@ -398,7 +397,11 @@ class VisualInertialOdometry:
     def _tracking(self, smoother: KeyframeSmoother, monitor: HealthMonitor, observations: Observations) -> Tracking:
         """Return the tracking state at the smoother's newest keyframe."""
         monitor.set_reference(
-            smoother.state, smoother.triangulated_landmarks, smoother.image_variance, self._noise.densities
+            smoother.state,
+            smoother.triangulated_landmarks,
+            smoother.image_variance,
+            self._noise.densities,
+            self._noise.measured,
         )
         propagator = Propagator(self._noise.params, self._imu, self._keyframe_policy, smoother, observations)
         return Tracking(smoother, monitor, propagator)

@@ -103,6 +103,7 @@ class KeyframeSmoother:
         self._position_covariance = covariance[3:6, 3:6]  # of the keyframe at which the window begins
         self._last_observed = observations, observations  # by the last keyframe but one, and by the last
         self._image_variance: float | None = None
+        self._initial_imu_variances: tuple[ImuVarianceComponents, ...] = ()
 
     @property
     def state(self) -> NavState:
@@ -134,6 +135,11 @@ class KeyframeSmoother:
     def image_variance(self) -> float | None:
         """Variance of the window's image observations relative to the assumed one; None if it is not observable."""
         return self._image_variance
+
+    @property
+    def initial_imu_variances(self) -> tuple[ImuVarianceComponents, ...]:
+        """Variance components of the IMU in all intervals of the initial adjustment."""
+        return self._initial_imu_variances
 
     def add_keyframe(self, keyframe: Keyframe, *, report_marginalized: bool = False) -> KeyframeResult:
         """Add a keyframe and optimize the window.
@@ -203,6 +209,7 @@ class KeyframeSmoother:
                 window.landmarks.triangulate(window.cameras, window.newest, retriangulate=True)
                 solver = self._levenberg_marquardt()
             self._solution = self._read_solution(solver)
+            self._initial_imu_variances = window.imu_variances(solver)
             residual, _, observed = window.residuals()
             self._image_variance = window.image_variance(residual, observed)
             error = np.linalg.norm(residual, axis=1)

@@ -7,7 +7,7 @@ The prior is computed when it is first needed. After a keyframe was marginalized
 before it that has more time.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 
 import gtsam
@@ -188,21 +188,30 @@ class Window:
         Args:
             solved: Cholesky factor of the linear system at the optimum of the window.
         """
-        oldest, index = min(self.states), {k: i for i, k in enumerate(self.states)}
-        for each in self._factors:
+        oldest = min(self.states)
+        return next(self._imu_variances([each for each in self._factors if oldest in each.keyframes], solved), None)
+
+    def imu_variances(self, solved: CholeskyFactor) -> tuple[ImuVarianceComponents, ...]:
+        """Return the variance components of all IMU factors; see `oldest_imu_variance`."""
+        return tuple(self._imu_variances(self._factors, solved))
+
+    def _imu_variances(
+        self, factors: Iterable[KeyframeFactor], solved: CholeskyFactor
+    ) -> Iterator[ImuVarianceComponents]:
+        index = {k: i for i, k in enumerate(self.states)}
+        for each in factors:
             factor = each.factor
-            if oldest in each.keyframes and isinstance(factor, gtsam.CombinedImuFactor):
+            if isinstance(factor, gtsam.CombinedImuFactor):
                 values = state_values({k: self.states[k] for k in each.keyframes})
                 whitened_J = factor.linearize(values).jacobian()[0]
                 J = solve_triangular(whitening_matrix(factor), whitened_J)[:9]  # without the random walk of the biases
                 preintegrated, columns = factor.preintegratedMeasurements(), each.block(index).start + each.columns
-                return ImuVarianceComponents.from_residual(
+                yield ImuVarianceComponents.from_residual(
                     factor.unwhitenedError(values)[:9],
                     preintegrated.preintMeasCov()[:9, :9],
                     J @ solved.inverse_block(columns) @ J.T,
                     preintegrated.deltaTij(),
                 )
-        return None
 
     def marginalize(self, k: int, max_persistent: int) -> None:
         """Marginalize a keyframe together with the landmarks that it observes.

@@ -11,6 +11,7 @@ Before the first interval has left the window, the noise is that of the data she
 initialization if it is larger: the Allan variance of the means between frames.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -20,7 +21,8 @@ import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments, joined
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
-from dronevio.models.imu import GRAVITY_M_S2, ImuModel
+from dronevio.estimator.imu.spectral_floor import SpectralFloor
+from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples
 from dronevio.models.ranges import Range, Settings
 
 Array = npt.NDArray[np.float64]
@@ -33,6 +35,15 @@ WHITE_SAMPLES = (2, 4)
 density would be halved where increments are means of two readings."""
 MAX_COLOUR = 1.6
 """Ratio between the densities of the noise at different intervals beyond which it is not white."""
+NOISE_SHARE = 0.5
+"""Noise density that is expected for a spectral floor, relative to the floor; the rest is motion. On EuRoC's flights,
+the estimates end there."""
+GROSS_RATIO = 3.0
+"""Ratio by which this expectation must exceed both the estimate and the initial noise to replace the estimate."""
+FLOOR_STEP = 1.5
+"""Ratio by which a spectral floor must exceed all before it for that: the noise has changed."""
+MIN_REDUNDANCY = 0.5
+"""Smallest sum of the redundancies of intervals, three residuals each, that show a noise density."""
 MAX_NORMALIZED_SQUARE = 9.0
 """Largest ratio of a squared residual to its expectation, so that a shock is not taken for noise."""
 
@@ -133,6 +144,16 @@ def is_white(parts: Sequence[Increments]) -> bool:
     return bool(np.all(densities.max(axis=0) <= MAX_COLOUR * densities.min(axis=0)))
 
 
+def pooled_density(components: Sequence[VarianceComponent]) -> float:
+    """Return the noise density that explains the squared residuals of intervals together; 0 if nothing shows it."""
+    redundancy = sum(each.redundancy for each in components)
+    squares = sum(
+        each.assumed_density2 * min(each.normalized_square, MAX_NORMALIZED_SQUARE * each.redundancy)
+        for each in components
+    )
+    return math.sqrt(squares / redundancy) if redundancy > MIN_REDUNDANCY else 0.0
+
+
 class NoiseDensityEstimator:
     """Estimates the white noise density of one sensor."""
 
@@ -144,7 +165,7 @@ class NoiseDensityEstimator:
             inflation: Ratio of the initial noise density to that of the data sheet.
             config: Settings.
         """
-        self._data_sheet, self._config = data_sheet, config
+        self._data_sheet, self._config, self._largest = data_sheet, config, config.max_factor * data_sheet
         # Sums over intervals with exponential forgetting: squared residuals in units of squared density, redundancy
         self._squares = (inflation * data_sheet) ** 2 * config.prior_weight
         self._redundancy = config.prior_weight
@@ -154,7 +175,11 @@ class NoiseDensityEstimator:
         """Estimated noise density in the unit of the data sheet."""
         c = self._config
         estimated = np.sqrt(self._squares / self._redundancy)
-        return float(np.clip(estimated, c.min_factor * self._data_sheet, c.max_factor * self._data_sheet))
+        return float(np.clip(estimated, c.min_factor * self._data_sheet, self._largest))
+
+    def raise_limit(self, density: float) -> None:
+        """Raise the largest possible estimate to another density."""
+        self._largest = max(self._largest, density)
 
     def raise_to(self, density: float) -> None:
         """Raise the estimated noise density to another one."""
@@ -163,7 +188,7 @@ class NoiseDensityEstimator:
     def update(self, component: VarianceComponent) -> None:
         """Add an interval, unless its assumed noise exceeds the range of the estimate because of excess noise."""
         c = self._config
-        if component.assumed_density2 > 1.1 * (c.max_factor * self._data_sheet) ** 2:
+        if component.assumed_density2 > 1.1 * self._largest**2:
             return
         kept = 1.0 - 1.0 / c.memory
         limited = min(component.normalized_square, MAX_NORMALIZED_SQUARE * component.redundancy)
@@ -193,7 +218,8 @@ class ImuNoiseEstimator:
         self._accel = NoiseDensityEstimator(imu.accel_noise_density, inertial.accel_noise_inflation, config)
         self._initial = self._params = PreintegrationParams.of(imu, inertial, gravity_m_s2)
         self._data_sheet = imu.gyro_noise_density, imu.accel_noise_density
-        self._at_rest = 0.0, 0.0
+        self._at_rest, self._floor = (0.0, 0.0), SpectralFloor()
+        self._highest_floor = np.zeros(2)
 
     @property
     def at_rest(self) -> tuple[float, float]:
@@ -214,6 +240,30 @@ class ImuNoiseEstimator:
         """Noise densities of gyroscope [rad/s/√Hz] and accelerometer [m/s²/√Hz]."""
         return self._gyro.density, self._accel.density
 
+    @property
+    def measured(self) -> tuple[float, float]:
+        """Noise densities that the samples themselves show, whatever the calibration: at rest, or by their spectrum."""
+        gyro, accel = zip(self._at_rest, self._floor.densities, strict=True)
+        return max(gyro), max(accel)
+
+    def add_imu(self, samples: ImuSamples) -> None:
+        """Add samples later than those before.
+
+        Where strong vibration begins, the noise grows at once, and the images show it some seconds later. Until then
+        the estimate is what the spectrum suggests.
+        """
+        self._floor.add(samples)
+        floor = np.array(self._floor.densities)
+        if not np.any(has_risen := floor > FLOOR_STEP * self._highest_floor):
+            return
+        self._highest_floor = np.where(has_risen, floor, self._highest_floor)
+        known = np.maximum(self.densities, np.sqrt([self._initial.gyro_variance, self._initial.accel_variance]))
+        raised = np.where(NOISE_SHARE * floor > GROSS_RATIO * known, NOISE_SHARE * floor, 0.0)
+        for sensor, density, limit in zip((self._gyro, self._accel), raised.tolist(), floor.tolist(), strict=True):
+            sensor.raise_limit(limit)
+            sensor.raise_to(density)
+        self._params = self._params.with_noise(*self.densities)
+
     def add_stationary(self, parts: Sequence[Increments]) -> None:
         """Raise the noise to that of a stationary interval, given its increments between successive frames.
 
@@ -231,6 +281,24 @@ class ImuNoiseEstimator:
         )
         noise = self._params.with_noise(*self.densities)
         self._params = noise.with_walks_of(self._initial, gyro_ratio, accel_ratio)
+
+    def raise_initial(self, components: Sequence[ImuVarianceComponents]) -> bool:
+        """Raise the noise if the first intervals show more, but to no more than the samples themselves show.
+
+        Args:
+            components: Variance components of the intervals of an initial adjustment.
+
+        Returns:
+            Whether the noise has increased by more than a factor of `NOISY_RATIO`.
+        """
+        before, limits = self.densities, self.measured
+        for sensor, limit, parts in (
+            (self._gyro, limits[0], [each.gyroscope for each in components]),
+            (self._accel, limits[1], [each.accelerometer for each in components]),
+        ):
+            sensor.raise_to(min(pooled_density(parts), limit))
+        self._params = self._params.with_noise(*self.densities)
+        return any(now > NOISY_RATIO * then for now, then in zip(self.densities, before, strict=True))
 
     def update(self, components: ImuVarianceComponents | None) -> None:
         """Add an interval, if there is one, and update the preintegration parameters."""

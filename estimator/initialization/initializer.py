@@ -41,6 +41,8 @@ MIN_FEATURES = 100
 """Below this number of features, new ones are detected in every frame during initialization."""
 NO_SOLUTION = "images and IMU do not determine the motion: motion sideways past near objects helps"
 """Reason where the smoother finds no solution."""
+NOISE_ROUNDS = 4
+"""Largest number of initial adjustments in motion, each with the noise of the IMU that the one before has shown."""
 TIME_TOLERANCE_NS = 1_000_000
 """Tolerance of time spans, because time stamps jitter [ns]."""
 
@@ -167,10 +169,10 @@ class Initializer:
         if t_ns - self._last_attempt_ns < c.dynamic.attempt_interval_s * 1e9:
             return self._last_reason
         self._last_attempt_ns = t_ns
-        result = self._dynamic(window, calibration, gauge, noise.params)
+        result = self._dynamic(window, calibration, gauge, noise)
         longer = window if stereo else self._since(t_ns, c.dynamic.max_window_s)
         if isinstance(result, NotObservable) and len(longer) > len(window):
-            result = self._dynamic(longer, calibration, gauge, noise.params)
+            result = self._dynamic(longer, calibration, gauge, noise)
         self._last_reason = result if isinstance(result, NotObservable) else self._last_reason
         return result
 
@@ -197,7 +199,7 @@ class Initializer:
         return smoother or NotObservable(NO_SOLUTION)
 
     def _dynamic(
-        self, window: Sequence[FramePacket], calibration: Calibration, gauge: Gauge, params: PreintegrationParams
+        self, window: Sequence[FramePacket], calibration: Calibration, gauge: Gauge, noise: ImuNoiseEstimator
     ) -> KeyframeSmoother | NotObservable:
         c = self._config
         start = initialize_dynamic(
@@ -207,14 +209,17 @@ class Initializer:
             c.dynamic,
             replace(self._gyro_bias, sigma=max(self._gyro_bias.sigma, c.rest_gyro_bias_sigma_rad_s)),
             self._accel_bias,
-            gravity_m_s2=params.gravity_m_s2,
+            gravity_m_s2=noise.params.gravity_m_s2,
         )
         if isinstance(start, NotObservable):
             return start
         agreeing = [replace(packet, observations=packet.observations.without(start.outliers)) for packet in window]
-        smoother, error_px = self._adjusted(
-            start.state, c.dynamic_sigmas, agreeing, calibration, gauge, params, stationary=False
-        )
+        for _ in range(NOISE_ROUNDS):
+            smoother, error_px = self._adjusted(
+                start.state, c.dynamic_sigmas, agreeing, calibration, gauge, noise.params, stationary=False
+            )
+            if smoother is None or not noise.raise_initial(smoother.initial_imu_variances):
+                break
         allowed_px = c.dynamic.max_residual_sigmas * c.dynamic.pixel_sigma
         if smoother is None:
             return NotObservable(NO_SOLUTION)
