@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.frontend.tracker import TrackerConfig
-from dronevio.estimator.types import Calibration, Observations, common_rows
+from dronevio.estimator.types import Calibration, Integers, Observations, common_rows
 from dronevio.models.imu import Times
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, log_so3
@@ -82,7 +82,8 @@ def image_rotations(t_ns: Sequence[int], observations: Sequence[Observations], T
     """
     pairs: list[tuple[int, int, Array, float]] = []
     for camera in range(len(Ts_imu_cam)):
-        R_imu_cam, last = Ts_imu_cam[camera, :3, :3], None
+        R_imu_cam = Ts_imu_cam[camera, :3, :3]
+        last: tuple[int, Integers, Array] | None = None
         for now_ns, seen in zip(t_ns, observations, strict=True):
             mine = seen.camera == camera
             if not mine.any() or (last is not None and now_ns - last[0] < MIN_SPAN_S * 1e9):
@@ -151,7 +152,7 @@ def relative_rotation(xy_first: Array, xy_second: Array) -> tuple[Array, float]:
 
 
 def _aligning(first: Array, second: Array) -> Array:
-    """Return the rotation (3, 3) that aligns bearings (N, 3) with others best, with little weight of those that differ."""
+    """Return the rotation (3, 3) that aligns bearings (N, 3) with others best; those that differ have little weight."""
     R, weights = np.eye(3), np.ones(len(first))
     for _ in range(3):
         U, _, Vt = np.linalg.svd((weights[:, None] * first).T @ second)
