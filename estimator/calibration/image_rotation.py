@@ -97,8 +97,8 @@ def image_rotations(t_ns: Sequence[int], observations: Sequence[Observations], T
             last = now_ns, ids, xy
     if not pairs:
         return NO_ROTATIONS
-    start_ns, end_ns, rotation_rad, sigma_rad = zip(*pairs, strict=True)
-    return RelativeRotations(np.array(start_ns), np.array(end_ns), np.array(rotation_rad), np.array(sigma_rad))
+    start_ns, end_ns, rotations, sigmas = zip(*pairs, strict=True)
+    return RelativeRotations(np.array(start_ns), np.array(end_ns), np.array(rotations), np.array(sigmas))
 
 
 def tracked_rotations(frames: Iterable[CameraFrame], rig: Rig) -> RelativeRotations:
