@@ -59,6 +59,15 @@ class RelativeRotations:
         """Return some of the pairs."""
         return RelativeRotations(self.start_ns[rows], self.end_ns[rows], self.rotation_rad[rows], self.sigma_rad[rows])
 
+    def joined(self, later: "RelativeRotations") -> "RelativeRotations":
+        """Return these pairs followed by others."""
+        return RelativeRotations(
+            np.concatenate([self.start_ns, later.start_ns]),
+            np.concatenate([self.end_ns, later.end_ns]),
+            np.concatenate([self.rotation_rad, later.rotation_rad]),
+            np.concatenate([self.sigma_rad, later.sigma_rad]),
+        )
+
     @property
     def span_s(self) -> Array:
         """(P,) Times between the frames of each pair [s]."""
