@@ -49,6 +49,8 @@ class MeasurementPipeline:
         gyro_bias_rad_s: Array,
         gyro_bias_sigma_rad_s: float,
         delay_s: float = 0.0,
+        *,
+        moves: bool = False,
     ) -> FramePacket:
         """Track the features into a frame and return its packet.
 
@@ -58,6 +60,7 @@ class MeasurementPipeline:
             gyro_bias_rad_s: (3,) Estimate of the gyroscope bias [rad/s].
             gyro_bias_sigma_rad_s: Its standard deviation [rad/s].
             delay_s: How much later than its time stamp the frame was exposed [s].
+            moves: Whether the vehicle is known to move.
 
         Raises:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
@@ -71,7 +74,7 @@ class MeasurementPipeline:
         self._exposure.begin_frame(increments, ahead, gyro_bias_rad_s)
         rotation_sigma = float(gyro_bias_sigma_rad_s * increments.dt_s.sum()) + increments.rotation_excess_sigma_rad
         R_cur_prev = _camera_rotation(calibration, increments, gyro_bias_rad_s)
-        frame = self._repetition.filtered(frame, R_cur_prev, rotation_sigma)
+        frame = self._repetition.filtered(frame, R_cur_prev, rotation_sigma, moves=moves)
         observations = self._front_end.track(frame, R_cur_prev, rotation_sigma, calibration.rig)
         # Cameras that have no tracker of their own observe no features in a frame that the others lack.
         has_image = len(observations) > 0 or all(image.size for image in frame.images)

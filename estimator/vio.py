@@ -33,7 +33,7 @@ from dronevio.estimator.initialization.zero_velocity import ZeroVelocityDetector
 from dronevio.estimator.keyframe_observer import KeyframeObserver, OdometryKeyframe
 from dronevio.estimator.output import Publisher
 from dronevio.estimator.pipeline import MeasurementPipeline
-from dronevio.estimator.propagator import Propagator, propagated
+from dronevio.estimator.propagator import Propagator, propagated, velocity_may_be_zero
 from dronevio.estimator.saturated_rotation import ITERATIONS, missing_rotation, saturated_sigma_rad, with_rotation
 from dronevio.estimator.stamp_error import StampCorrection
 from dronevio.estimator.types import Calibration, FramePacket, Observations
@@ -51,7 +51,9 @@ WRONG_TIME_OFFSET = "the time offset of camera and IMU is another one"
 """Reason of a loss at which another time offset is adopted."""
 MAX_EXTRAPOLATION_S = 0.01
 """Longest time over which a state is extrapolated without its covariance [s]: the error of third order is .01 mm."""
-REPEATED_IMAGES = "the image does not change although the vehicle rotates: not used"
+SAME_REPETITION_S = 1.0
+"""Longest time between repeated images that one event states [s], as where each image comes twice."""
+REPEATED_IMAGES = "the image does not change although the vehicle moves: not used"
 """Event at the first of several equal images."""
 
 IMPLAUSIBLE_CALIBRATION = (
@@ -126,6 +128,7 @@ class VisualInertialOdometry:
         self._observer = observer
         self._connection = ImageConnection()
         self._queue, self._offset_search = FrameQueue(), OffsetSearch()
+        self._repeated_ns: int | None = None  # time stamp of the last frame of which an image was left out
         self._estimate: Estimate | None = None  # of the last processed frame, at its time by the clock of the IMU
         self._newest_ns = 0  # time of the newest frame by the clock of the IMU
         self._origin = WorldOrigin(
@@ -178,9 +181,8 @@ class VisualInertialOdometry:
 
     def _process(self, frame: CameraFrame) -> Estimate:
         """Return the estimate of a frame at its time by the clock of the IMU."""
-        repeated = self._pipeline.repeats_image
         delay_s = self._stamps.add_stamp(frame.t_ns)
-        packet = self._pipeline.process(frame, self._calibration, *self._gyro_bias, delay_s)
+        packet = self._pipeline.process(frame, self._calibration, *self._gyro_bias, delay_s, moves=self._moves)
         self._frame, self._newest_ns = frame, packet.t_ns
         features = packet.observations if packet.has_image else None
         self._zero_velocity.update(packet.t_ns, features, packet.increments)
@@ -190,13 +192,16 @@ class VisualInertialOdometry:
                 estimate = self._initialize(self._state, packet)
             case Tracking():
                 estimate = self._track(self._state, packet)
-        self._connection.end_frame(packet.observations)
+        if packet.has_image:
+            self._connection.end_frame(packet.observations)
         self._offset_search.add(packet)
         if self._is_doubtful:
             offset = self._offset_search.offset(self._calibration.Ts_imu_cam)
             estimate = estimate if offset is None else self._adopted(offset, packet, estimate)
-        if self._pipeline.repeats_image and not repeated:
-            estimate = replace(estimate, events=(*estimate.events, REPEATED_IMAGES))
+        if self._pipeline.repeats_image:
+            since_ns, self._repeated_ns = self._repeated_ns, frame.t_ns
+            if since_ns is None or (frame.t_ns - since_ns) * 1e-9 > SAME_REPETITION_S:
+                estimate = replace(estimate, events=(*estimate.events, REPEATED_IMAGES))
         return estimate
 
     def _at_stamp(self, estimate: Estimate, frame: CameraFrame) -> Estimate:
@@ -206,6 +211,12 @@ class VisualInertialOdometry:
             return self._pipeline.at_stamp(estimate, frame)
         state = propagated(state, self._pipeline.since_frame(later_s), self._noise.params, self._imu)
         return replace(estimate, t_ns=frame.t_ns, state=replace(state, t_ns=frame.t_ns))
+
+    @property
+    def _moves(self) -> bool:
+        """Whether the velocity at the last frame was certainly not zero."""
+        state = None if self._estimate is None else self._estimate.state
+        return state is not None and not velocity_may_be_zero(state)
 
     @property
     def _is_doubtful(self) -> bool:
@@ -272,7 +283,9 @@ class VisualInertialOdometry:
         if self._stamps.is_irregular:
             innovation = tracking.monitor.innovation(packet.observations, predicted, self._calibration)
             self._stamps.compare(innovation, predicted, self._pipeline.angular_velocity_rad_s)
-        report = tracking.monitor.assess(packet.observations, predicted, stationary, self._calibration)
+        report = tracking.monitor.assess(
+            packet.observations, predicted, stationary, self._calibration, has_image=packet.has_image
+        )
         if report.health is Health.LOST:
             return self._lose(tracking, packet, report)
         due = propagator.is_keyframe_due(stationary_s, packet.observations, report.innovation_px)

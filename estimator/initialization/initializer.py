@@ -115,6 +115,8 @@ class Initializer:
 
     def needs_features(self, packet: FramePacket) -> bool:
         """Return whether new features should be detected in a frame: if there are few, or at the keyframe interval."""
+        if not packet.has_image:
+            return False
         elapsed_s = (packet.t_ns - self._replenished_ns) * 1e-9
         due = self._keyframes.is_interval_over(elapsed_s, stationary=False)
         if due or len(packet.observations) < MIN_FEATURES:
@@ -125,6 +127,9 @@ class Initializer:
     def collect(self, packet: FramePacket) -> None:
         """Add a frame without an attempt to initialize."""
         span_s = max(self._config.static_window_s, self._config.dynamic.max_window_s)
+        *before, last = self._window or [packet]
+        if last is not packet and not last.has_image:  # as if there were no such frame
+            packet, self._window = replace(packet, increments=joined([last.increments, packet.increments])), before
         self._window = [*self._window, packet]
         self._window = self._since(packet.t_ns, span_s)
 
