@@ -92,7 +92,9 @@ def main(command: RepeatedImagesCommand) -> int:
 
         new = np.flatnonzero(shown == index)
         removed = replace(
-            section, frame_times_ns=section.frame_times_ns[new], image_of=lambda i, new=new: section.image_of(int(new[i]))
+            section,
+            frame_times_ns=section.frame_times_ns[new],
+            image_of=lambda i, new=new: section.image_of(int(new[i])),
         )
         variants = {"repeated": replace(section, image_of=frame_of), "removed": removed}
         for kind, changed in variants.items():
