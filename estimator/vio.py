@@ -18,8 +18,8 @@ from dronevio.estimator.calibration.online import OnlineCalibration
 from dronevio.estimator.calibration.rotation_offset import RotationOffset
 from dronevio.estimator.calibration.unverified import unverified_covariance
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frame_queue import FrameQueue
+from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.health import INCONSISTENT, HealthMonitor
 from dronevio.estimator.image_connection import ImageConnection
