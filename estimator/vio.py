@@ -189,7 +189,9 @@ class VisualInertialOdometry:
     def _process(self, frame: CameraFrame) -> Estimate:
         """Return the estimate of a frame at its time by the clock of the IMU."""
         delay_s = self._stamps.add_stamp(frame.t_ns)
-        packet = self._pipeline.process(frame, self._calibration, *self._gyro_bias, delay_s, moves=self._moves)
+        packet = self._pipeline.process(
+            frame, self._calibration, *self._gyro_bias, delay_s, moves=self._moves, contradicted=self._is_doubtful
+        )
         self._frame, self._newest_ns = frame, packet.t_ns
         features = packet.observations if packet.has_image else None
         self._zero_velocity.update(packet.t_ns, features, packet.increments)
