@@ -3,7 +3,7 @@
 The normals of the epipolar planes of two views, f₁ × R f₂ of the bearings f, are perpendicular to the translation
 between them if the rotation R is right (Kneip and Lynen, "Direct optimization of frame-to-frame rotation", ICCV 2013).
 R and the direction of the translation are refined by Gauss-Newton from the rotation that aligns the bearings best.
-Features that disagree, such as those on moving objects, have nearly no weight.
+Features that disagree, such as those on moving objects, are left out by RANSAC, or have little weight.
 """
 
 from collections.abc import Iterable, Sequence
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.frontend.ransac import essential_inliers
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.frontend.tracker import TrackerConfig
 from dronevio.estimator.types import Calibration, Integers, Observations, common_rows
@@ -34,6 +35,8 @@ UNKNOWN_SIGMA_RAD = 0.1
 """Standard deviation of the rotation between frames where no gyroscope predicts it [rad]."""
 ITERATIONS = 12
 """Number of Gauss-Newton steps."""
+OUTLIER_RAD = 0.002
+"""Distance of a feature from its epipolar line beyond which it is left out [rad]; a pixel of EuRoC's cameras."""
 MAX_STEP_RAD = 0.05
 """Largest rotation of one step [rad]."""
 _MIN_SCALE_RAD = 1e-4  # least scale of the residuals: a twentieth of a pixel of EuRoC's cameras
@@ -136,9 +139,11 @@ def relative_rotation(xy_first: Array, xy_second: Array) -> tuple[Array, float]:
         xy_first: (N, 2) Normalized coordinates of features in the first view, at least five.
         xy_second: (N, 2) Those in the second.
     """
-    first, second = _bearings(xy_first), _bearings(xy_second)
-    R = _aligning(first, second)
-    weights, t, H, scale = np.ones(len(first)), np.zeros(3), np.eye(5), 1.0
+    agree = essential_inliers(xy_first, xy_second, OUTLIER_RAD)
+    agree = agree if agree.sum() >= MIN_FEATURES else np.ones(len(agree), dtype=np.bool_)
+    first, second = _bearings(xy_first[agree]), _bearings(xy_second[agree])
+    R, weights = _aligning(first, second)
+    H, scale = np.eye(5), 1.0
     for _ in range(ITERATIONS):
         turned = second @ R.T
         normals = np.cross(first, turned)
@@ -160,15 +165,15 @@ def relative_rotation(xy_first: Array, xy_second: Array) -> tuple[Array, float]:
     return np.asarray(log_so3(R)), float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
 
 
-def _aligning(first: Array, second: Array) -> Array:
-    """Return the rotation (3, 3) that aligns bearings (N, 3) with others best; those that differ have little weight."""
+def _aligning(first: Array, second: Array) -> tuple[Array, Array]:
+    """Return the rotation (3, 3) that aligns bearings (N, 3) with others best, and weights (N,) of those that agree."""
     R, weights = np.eye(3), np.ones(len(first))
     for _ in range(3):
         U, _, Vt = np.linalg.svd((weights[:, None] * first).T @ second)
         R = U @ np.diag([1.0, 1.0, float(np.linalg.det(U @ Vt))]) @ Vt
         error = np.linalg.norm(first - second @ R.T, axis=1)
         weights = 1.0 / (1.0 + (error / max(2.0 * float(np.median(error)), _MIN_SCALE_RAD)) ** 2)
-    return R
+    return R, weights
 
 
 def _bearings(xy: Array) -> Array:
