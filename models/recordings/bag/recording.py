@@ -1,4 +1,4 @@
-"""Reading of recordings from ROS 2 bags.
+"""Reading of recordings from bags of ROS 1 and ROS 2.
 
 Topics are found by their message type. Bags that this package wrote are read without loss of precision; for others, the
 calibration that is not in the bag (IMU noise, often the extrinsics of the cameras) comes from Kalibr's files. Times are
@@ -15,13 +15,13 @@ from typing import Self, cast
 
 import numpy as np
 import numpy.typing as npt
-from rosbags.typesys.stores import ros2_humble as ros
 
 from dronevio.models.defects import Defect, DefectKind
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel, ImuSamples, Sampling, Times
 from dronevio.models.recordings.bag.file import BagFile
-from dronevio.models.recordings.bag.messages import ImageMessage, grey_image, imu_samples
+from dronevio.models.recordings.bag.imu import read_imu_rows
+from dronevio.models.recordings.bag.messages import ImageMessage, grey_image
 from dronevio.models.recordings.bag.missing import MissingParts
 from dronevio.models.recordings.bag.options import BagTopics
 from dronevio.models.recordings.bag.rig import bag_rig, read_calibrations
@@ -49,7 +49,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class BagRecording:
-    """A recording in a ROS 2 bag; satisfies the `Recording` protocol."""
+    """A recording in a bag; satisfies the `Recording` protocol."""
 
     name: str
     """Name of the file or folder of the bag."""
@@ -91,7 +91,7 @@ class BagRecording:
         """Read everything except the images.
 
         Args:
-            path: An ``.mcap`` or ``.db3`` file, or a folder written by ``ros2 bag``.
+            path: A ``.bag``, ``.mcap`` or ``.db3`` file, or a folder written by ``ros2 bag``.
             cameras: Number of cameras to use; None for all.
             calibration: Calibration files of Kalibr, which replace the calibration in the bag.
             topics: Topics to read instead of those found by message type.
@@ -258,17 +258,15 @@ def _calibrated_topics(bag: BagFile, files: Sequence[Path]) -> tuple[str, ...]:
     return next((calibration.topics for calibration in calibrations if calibration.topics), ())
 
 
-def _read_imu(bag: BagFile, topic: str, sampling: Sampling, repair: bool) -> tuple[ImuSamples, tuple[Defect, ...]]:
-    """Return the IMU samples of a topic in the order of time, and their defects.
+def _read_imu(
+    bag: BagFile, topics: tuple[str, ...], sampling: Sampling, repair: bool
+) -> tuple[ImuSamples, tuple[Defect, ...]]:
+    """Return the IMU samples of one or two topics in the order of time, and their defects.
 
     Raises:
         InputError: A message is damaged; or, without `repair`, two have the same time stamp or one is not finite.
     """
-    t_ns, messages = bag.listed_messages(topic)
-    try:
-        gyro, accel = imu_samples(cast("list[ros.sensor_msgs__msg__Imu]", messages))
-    except ValueError as error:
-        raise bag.error(f"{topic}: {error}", "both in each message") from None
+    (t_ns, gyro, accel), topic = read_imu_rows(bag, topics), " and ".join(topics)
 
     def describe(row: int) -> str:
         return f"{topic}: sample at {t_ns[row]} ns"
