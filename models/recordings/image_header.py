@@ -145,10 +145,9 @@ def _tiff(stream: BinaryIO) -> ImageHeader:
         value = f"{order}{_TIFF_TYPES[kind]}"
         if values * struct.calcsize(value) > inline:  # the depths of several channels, which are elsewhere
             stream.seek(struct.unpack_from(f"{order}{'Q' if is_big else 'I'}", entry, size)[0])
-            entry, size_ = stream.read(struct.calcsize(value)), 0
+            (tags[tag],) = struct.unpack(value, stream.read(struct.calcsize(value)))
         else:
-            size_ = size
-        (tags[tag],) = struct.unpack_from(value, entry, size_)
+            (tags[tag],) = struct.unpack_from(value, entry, size)
     width, height = tags[_WIDTH], tags[_HEIGHT]
     channels, depth = tags.get(_SAMPLES, 1), (tags.get(_BITS, 1) + 7) // 8
     tile = max(tags.get(_TILE_WIDTH, 0), 1) * max(tags.get(_TILE_HEIGHT, 0), 1)

@@ -121,7 +121,7 @@ def noise_yaml(tmp_path: Path) -> Path:
 
 
 def test_messages_of_drivers_are_read(tmp_path: Path, noise_yaml: Path) -> None:
-    """Stamps are those of the headers, behind their counters; frames may begin with a slash; D, K are the intrinsics."""
+    """Stamps are those of the headers, behind their counters; names of frames may begin with a slash."""
     recording = open_recording(save(tmp_path / "a.bag", foreign()), calibration=[noise_yaml])
     np.testing.assert_array_equal(recording.imu.t_ns, T0_NS + STEP_NS * np.arange(8))
     np.testing.assert_array_equal(recording.imu.gyro_rad_s[3], [0.1, 0.2, 0.03])

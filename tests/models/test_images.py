@@ -44,7 +44,7 @@ def test_images_of_enormous_size_are_refused(scratch: Path) -> None:
     scratch.write_bytes(PNG[:12] + header + zlib.crc32(header).to_bytes(4, "big") + PNG[33:])
     with pytest.raises(InputError, match="an image of 60000 × 60000 px; expected an image of 32 × 24 px"):
         read_grey(scratch, 32, 24)
-    with pytest.raises(InputError, match="an image of 60000 × 60000 px, which needs 3433 MiB; expected .* 1024 MiB"):
+    with pytest.raises(InputError, match="an image of 60000 × 60000 px, which needs 3433 MiB; expected an image that"):
         read_grey(scratch, 60_000, 60_000)
 
 

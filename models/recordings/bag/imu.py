@@ -38,11 +38,8 @@ def halves_of(bag: BagFile, topic: str) -> Halves:
     """
     if named_halves(topic) != "both":
         return named_halves(topic)
-    messages = list(islice(bag.messages(topic), _EXAMINED))
-    has_gyro, has_accel = (
-        half is not None and bool(np.any(half))
-        for half in imu_halves(cast("list[ros.sensor_msgs__msg__Imu]", messages))
-    )
+    messages = cast("list[ros.sensor_msgs__msg__Imu]", list(islice(bag.messages(topic), _EXAMINED)))
+    has_gyro, has_accel = (half is not None and bool(np.any(half)) for half in imu_halves(messages))
     if has_gyro == has_accel:
         return "both"
     return "gyro" if has_gyro else "accel"

@@ -90,7 +90,7 @@ def image_topics(bag: BagFile, calibrated: Sequence[str]) -> tuple[str, ...]:
 
 
 def _requested_imu(bag: BagFile, topics: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the topic of the IMU, or those of gyroscope and accelerometer, that the user selected; or raise InputError."""
+    """Return the selected topic of the IMU, or those of gyroscope and accelerometer; or raise InputError."""
     checked = tuple(_checked(bag, topic, IMU_TYPES) for topic in topics)
     if len(checked) == 1:
         return _whole(bag, checked[0])
