@@ -428,6 +428,24 @@ def test_all_eight_bit_encodings_are_read(
     )
 
 
+@pytest.mark.parametrize("big", [False, True])
+def test_images_of_12_bits_fill_the_range(tmp_path: Path, noise_yaml: Path, chain_yaml: Path, big: bool) -> None:
+    """Of 16 bits, 12 are used in the topic, if not in each image; the upper eight of these are the grey level."""
+    numbers = np.random.default_rng(0).integers(0, 4096, (480, 752)).astype(">u2" if big else "<u2")
+    messages: list[Any] = [(T0_NS, "/imu", imu_message(T0_NS))]
+    for k, pixels in enumerate((numbers // 16, numbers)):
+        t_ns = T0_NS + k * STEP_NS
+        data = pixels.astype(numbers.dtype).view(np.uint8).ravel()
+        image = ros.sensor_msgs__msg__Image(header(t_ns, "c"), 480, 752, "mono16", int(big), 2 * 752, data)
+        messages.append((t_ns, "/i", image))
+    path, files = save(tmp_path / "bag", messages), [noise_yaml, chain_yaml]
+    for order in ((0, 1), (1, 0)):
+        recording = open_recording(path, calibration=files, topics=BagTopics(images=("/i",)))
+        found = {k: recording.frame(k).images[0] for k in order}
+        np.testing.assert_array_equal(found[0], numbers // 16 // 16)
+        np.testing.assert_array_equal(found[1], numbers // 16)
+
+
 def compressed(data: bytes, form: str = "jpeg") -> Any:
     return ros.sensor_msgs__msg__CompressedImage(header(T0_NS, "c"), form, np.frombuffer(data, np.uint8))
 

@@ -197,7 +197,7 @@ def test_photographs_and_masks_of_any_reasonable_size_pass() -> None:
     check_decoded_size(path, ImageHeader(14_204, 10_652, 3, 1), 40_000_000)  # 151 Mpx in 40 MB
     check_decoded_size(path, ImageHeader(14_204, 10_652, 1, 1), 150_000)  # its mask
     check_decoded_size(path, ImageHeader(8_000, 8_000, 3, 1), 1_000)  # a drawing
-    with pytest.raises(InputError, match=rr"which needs 577 MiB and is stored in 0\.9 MiB; expected a photograph"):
+    with pytest.raises(InputError, match=r"which needs 577 MiB and is stored in 0\.9 MiB; expected a photograph"):
         check_decoded_size(path, ImageHeader(14_204, 10_652, 3, 1), 900_000)
     with pytest.raises(InputError, match=f"at most {MAX_DECODED_BYTES // 2**20} MiB"):
         check_decoded_size(path, ImageHeader(30_000, 30_000, 3, 1), 900_000_000)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-DeepImage = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+from dronevio.models.recordings.bit_depth import DeepImage
 
 
 @dataclass(frozen=True)
@@ -69,16 +69,20 @@ def grey_pixels(
         is_big_endian: Whether the first byte of a number of 16 bits is the higher one.
         width: Number of columns W [px].
     """
+    rows = np.ascontiguousarray(data.reshape(-1, step)[:, : width * encoding.pixel_bytes])
+    if encoding.depth_bytes == 1:
+        return np.asarray(_grey(encoding, rows, width), np.uint8)
+    numbers = rows.view(">u2" if is_big_endian else "<u2").astype(np.uint16)
+    return np.asarray(_grey(encoding, numbers, width), np.uint16)
+
+
+def _grey(encoding: Encoding, numbers: DeepImage, width: int) -> npt.NDArray[np.generic]:
+    """Return the grey image (H, W) of rows of numbers (H, W × channels)."""
     import cv2
 
-    rows = np.ascontiguousarray(data.reshape(-1, step)[:, : width * encoding.pixel_bytes])
-    if encoding.depth_bytes == 2:
-        numbers: DeepImage = rows.view(">u2" if is_big_endian else "<u2").astype(np.uint16)
-    else:
-        numbers = rows
     if encoding.luminance is not None:
         return np.ascontiguousarray(numbers[:, encoding.luminance :: encoding.channels])
     if not encoding.to_grey:
         return numbers
-    pixels = numbers.reshape(len(rows), width, encoding.channels)
-    return np.asarray(cv2.cvtColor(pixels, getattr(cv2, encoding.to_grey)), numbers.dtype)
+    pixels = numbers.reshape(len(numbers), width, encoding.channels)
+    return np.asarray(cv2.cvtColor(pixels, getattr(cv2, encoding.to_grey)))

@@ -16,10 +16,11 @@ from rosbags.typesys.stores import ros2_humble as ros
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuModel, ImuSamples, Times
-from dronevio.models.recordings.bag.encodings import ENCODINGS, DeepImage, grey_pixels
+from dronevio.models.recordings.bag.encodings import ENCODINGS, grey_pixels
 from dronevio.models.recordings.bag.rectification import Rectification
+from dronevio.models.recordings.bit_depth import DeepImage
 from dronevio.models.recordings.calibration.euroc import LENS_NAMES
-from dronevio.models.recordings.images import DamagedImageError, decode_grey, encode_png
+from dronevio.models.recordings.images import DamagedImageError, decode_deep_grey, encode_png
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import inverse_pose, log_so3, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
@@ -232,8 +233,8 @@ def is_grey_or_colour(message: ImageMessage) -> bool:
     return message.encoding in ENCODINGS
 
 
-def grey_image(path: Path, where: str, message: ImageMessage, width: int, height: int) -> Image:
-    """Return the grey image (height, width) of a message.
+def grey_image(path: Path, where: str, message: ImageMessage, width: int, height: int) -> DeepImage:
+    """Return the grey image (height, width) of a message, with 8 or 16 bits as it is stored.
 
     Args:
         path: The bag, for error messages.
@@ -246,7 +247,7 @@ def grey_image(path: Path, where: str, message: ImageMessage, width: int, height
         InputError: The image is damaged, or has another size or encoding.
     """
     if isinstance(message, ros.sensor_msgs__msg__CompressedImage):
-        return decode_grey(path, message.data.tobytes(), width, height, f"{where}: ")
+        return decode_deep_grey(path, message.data.tobytes(), width, height, f"{where}: ")
     encoding = ENCODINGS.get(message.encoding)
     if encoding is None:
         found = f"{where}: an image with encoding {message.encoding!r}"
@@ -257,15 +258,7 @@ def grey_image(path: Path, where: str, message: ImageMessage, width: int, height
     if message.step < width * encoding.pixel_bytes or len(message.data) != message.step * height:
         found = f"{where}: an image of {len(message.data)} bytes in rows of {message.step}"
         raise DamagedImageError(path, found, f"{height} rows of at least {width * encoding.pixel_bytes} bytes")
-    return _eight_bits(grey_pixels(encoding, message.data, message.step, bool(message.is_bigendian), width))
-
-
-def _eight_bits(image: DeepImage) -> Image:
-    """Return an image with 8 bits: of 16, the upper ones that occur in it."""
-    if image.dtype == np.uint8:
-        return np.asarray(image, np.uint8)
-    unused = max(int(image.max(initial=0)).bit_length() - 8, 0)
-    return (image >> unused).astype(np.uint8)
+    return grey_pixels(encoding, message.data, message.step, bool(message.is_bigendian), width)
 
 
 def imu_halves(messages: Sequence[ros.sensor_msgs__msg__Imu]) -> tuple[Array | None, Array | None]:

@@ -9,6 +9,7 @@ Opening a bag reads the time stamp of each image; `BagRecording.frame` decodes t
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Self, cast
@@ -28,6 +29,7 @@ from dronevio.models.recordings.bag.rig import bag_rig, read_calibrations
 from dronevio.models.recordings.bag.topics import IMAGE_TYPES, find_topics, image_topics, truth_topic
 from dronevio.models.recordings.bag.truth import read_bag_frame_truth, read_bag_truth
 from dronevio.models.recordings.bag.writer import TRUTH_TOPIC
+from dronevio.models.recordings.bit_depth import MAX_BITS, DeepImage, significant_bits, spread, to_8bit
 from dronevio.models.recordings.frame_truth import FrameTruth
 from dronevio.models.recordings.images import DamagedImageError
 from dronevio.models.recordings.repair import (
@@ -191,16 +193,32 @@ class ImageTopic:
         self.t_ns: Times = stamps_ns[order]
         """(K,) Time stamps of the images, increasing [ns]."""
         self._logged_ns = logged_ns[order]
+        self._bits: int | None = None  # significant bits of images of 16 bits, before the first one
         self._reader: BagFile | None = None
         self._following: Iterator[tuple[int, bytes]] = iter(())
 
     def image(self, row: int, width: int, height: int) -> npt.NDArray[np.uint8]:
         """Return the grey image (height, width) with index ``row`` in the order of time stamps.
 
+        Images of 16 bits are scaled by the range that occurs in those of the topic.
+
         Raises:
             DamagedImageError: The image is damaged.
             InputError: The image has another size or encoding.
         """
+        deep = self._stored(row, width, height)
+        if deep.dtype != np.uint8 and self._bits is None:
+            self._bits = significant_bits(self._readable(width, height))
+        return to_8bit(deep, self._bits or MAX_BITS)
+
+    def _readable(self, width: int, height: int) -> Iterator[DeepImage]:
+        """Yield some images of the topic as they are stored, of those that can be read."""
+        for row in spread(range(len(self.t_ns))):
+            with suppress(InputError):
+                yield self._stored(row, width, height)
+
+    def _stored(self, row: int, width: int, height: int) -> DeepImage:
+        """Return an image as it is stored; see `image`."""
         raw = self._message(row)
         try:
             message = cast(ImageMessage, self._bag.decode(self._topic, raw))
