@@ -19,8 +19,10 @@ from rosbags.typesys.store import Typestore
 
 from dronevio.models.errors import DronevioError, InputError
 from dronevio.models.imu import Times
+from dronevio.models.recordings.bag.file_order import written_messages
 from dronevio.models.recordings.bag.messages import ros1_stamp_ns, stamp_ns
 from dronevio.models.recordings.bag.options import ROS1_SUFFIX, STORAGES
+from dronevio.models.recordings.bag.stamps import TopicStamps
 from dronevio.models.recordings.files import check_regular_file
 
 _EXPECTED = "a bag of ROS 1 (.bag) or ROS 2: an .mcap or .db3 file, or a folder with metadata.yaml"
@@ -80,18 +82,23 @@ class BagFile:
         return tuple(sorted(topic for topic, kind in self.topics.items() if kind in types))
 
     def raw_messages(self, topic: str, start_ns: int | None = None) -> Iterator[tuple[int, bytes]]:
-        """Yield the log time [ns] and the serialized bytes of each message of a topic, in the order of log times.
+        """Yield the log time [ns] and the serialized bytes of each message of a topic.
 
         Args:
             topic: Name of the topic.
-            start_ns: First log time of the messages [ns], None for all messages.
+            start_ns: First log time of the messages, which come in the order of log times [ns]; None for all messages,
+                which come in the order in which they were written.
 
         Raises:
             InputError: The bag is damaged.
         """
         with any_as_input_error(self.path):
             connections = [c for c in self._reader.connections if c.topic == topic and c.msgcount]
-            for _, logged_ns, raw in self._reader.messages(connections, start=start_ns):
+            if start_ns is None:
+                found = written_messages(self._reader, connections)
+            else:
+                found = self._reader.messages(connections, start=start_ns)
+            for _, logged_ns, raw in found:
                 yield logged_ns, raw
 
     def messages(self, topic: str) -> Iterator[object]:
@@ -134,28 +141,45 @@ class BagFile:
         except ValueError as error:
             raise InputError(self.path, f"{topic}: {error}", "messages with a time stamp") from None
 
-    def stamped_messages(self, topic: str) -> tuple[Times, list[object]]:
-        """Return the time stamps (N,) [ns] and the messages of a topic, sorted by time stamp.
+    def stamped_messages(self, topic: str, rows: slice = slice(None)) -> tuple[Times, list[object]]:
+        """Return the time stamps (N,) [ns] and some of the messages of a topic, sorted by time stamp.
 
         Raises:
             InputError: The messages are damaged, or two have the same time stamp.
         """
-        t_ns, messages = self.listed_messages(topic)
+        stamps, messages = self.listed_messages(topic)
+        t_ns, messages = stamps.t_ns[rows], messages[rows]
         order = np.argsort(t_ns, kind="stable")
         self.check_stamps(topic, t_ns[order])
         return t_ns[order], [messages[i] for i in order.tolist()]
 
-    def listed_messages(self, topic: str) -> tuple[Times, list[object]]:
-        """Return the time stamps (N,) [ns] and the messages of a topic, in the order of the bag.
+    def listed_messages(self, topic: str) -> tuple[TopicStamps, list[object]]:
+        """Return the time stamps (N,) and the messages of a topic, in the order of the bag.
 
         Raises:
             InputError: The messages are damaged.
         """
-        raws = [raw for _, raw in self.raw_messages(topic)]
-        if not raws:
+        logged = list(self.raw_messages(topic))
+        if not logged:
             raise self._empty(topic)
-        t_ns = np.array([self.stamp_ns(topic, raw) for raw in raws], dtype=np.int64)
-        return t_ns, [self.decode(topic, raw) for raw in raws]
+        messages = [self.decode(topic, raw) for _, raw in logged]
+        return self._stamps(topic, [(self.stamp_ns(topic, raw), logged_ns) for logged_ns, raw in logged]), messages
+
+    def stamps(self, topic: str) -> TopicStamps:
+        """Return the time stamps (N,) of the messages of a topic, in the order of the bag.
+
+        Raises:
+            InputError: There are no messages, or they are damaged.
+        """
+        logged = self.raw_messages(topic)
+        return self._stamps(topic, [(self.stamp_ns(topic, raw), logged_ns) for logged_ns, raw in logged])
+
+    def _stamps(self, topic: str, stamps: Sequence[tuple[int, int]]) -> TopicStamps:
+        """Return the time stamps (N,) of pairs of a stamp in a header and a log time [ns]."""
+        if not stamps:
+            raise self._empty(topic)
+        header_ns, logged_ns = np.array(stamps, dtype=np.int64).T
+        return TopicStamps.of(topic, header_ns, logged_ns)
 
     def check_stamps(self, topic: str, t_ns: Times) -> None:
         """Check that the sorted time stamps (N,) [ns] of a topic are distinct.

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from rosbags.typesys.stores import ros2_humble as ros
 
-from dronevio.models.imu import Times
 from dronevio.models.recordings.bag.file import BagFile
 from dronevio.models.recordings.bag.messages import imu_halves
+from dronevio.models.recordings.bag.stamps import TopicStamps
 from dronevio.models.recordings.split_imu import interpolated_accel
 
 Array = npt.NDArray[np.float64]
@@ -56,23 +56,26 @@ def pair_of(bag: BagFile, topics: tuple[str, ...]) -> tuple[str, str] | None:
     return (gyro[0], accel[0]) if len(gyro) == len(accel) == 1 else None
 
 
-def read_imu_rows(bag: BagFile, topics: tuple[str, ...]) -> tuple[Times, Array, Array]:
-    """Return time stamps (N,) [ns], angular velocities (N, 3) [rad/s] and specific forces (N, 3) [m/s²] of messages.
+def read_imu_rows(bag: BagFile, topics: tuple[str, ...]) -> tuple[TopicStamps, Array]:
+    """Return the time stamps (N,) of IMU samples and their values (N, 6), in the order of the bag.
 
     Args:
         bag: The bag.
-        topics: The topic of the IMU, or those of its gyroscope and its accelerometer, at whose time stamps the samples
-            are: those of the first, in the order of the bag.
+        topics: The topic of the IMU, or those of its gyroscope and its accelerometer; the time stamps are those of the
+            first.
+
+    Returns:
+        The time stamps, and angular velocities [rad/s] with specific forces [m/s²].
 
     Raises:
         InputError: A message is damaged, or half of the IMU is missing.
     """
-    t_ns, gyro, accel = _halves(bag, topics[0])
-    rows = np.arange(len(t_ns))
+    stamps, gyro, accel = _halves(bag, topics[0])
+    rows = np.arange(len(stamps.t_ns))
     if len(topics) == 2:
-        accel_t_ns, _, accel = _halves(bag, topics[1])
+        others, _, accel = _halves(bag, topics[1])
         if accel is not None:
-            rows, accel = interpolated_accel(t_ns, accel_t_ns, accel)
+            rows, accel = interpolated_accel(stamps.t_ns, others.t_ns, accel)
         if not len(rows):
             raise bag.error(f"{' and '.join(topics)} do not overlap in time", "two halves of an IMU on one clock")
     if gyro is None or accel is None:
@@ -80,10 +83,10 @@ def read_imu_rows(bag: BagFile, topics: tuple[str, ...]) -> tuple[Times, Array, 
             f"{' and '.join(topics)}: IMU messages without {'angular velocity' if gyro is None else 'acceleration'}",
             "both, in one topic or in two (--topics.imu GYROSCOPE ACCELEROMETER)",
         )
-    return t_ns[rows], gyro[rows], accel
+    return stamps.selected(rows), np.hstack([gyro[rows], accel])
 
 
-def _halves(bag: BagFile, topic: str) -> tuple[Times, Array | None, Array | None]:
-    """Return the time stamps (N,) [ns] of a topic and the halves (N, 3) that it has."""
-    t_ns, messages = bag.listed_messages(topic)
-    return t_ns, *imu_halves(cast("list[ros.sensor_msgs__msg__Imu]", messages))
+def _halves(bag: BagFile, topic: str) -> tuple[TopicStamps, Array | None, Array | None]:
+    """Return the time stamps (N,) of a topic and the halves (N, 3) that it has."""
+    stamps, messages = bag.listed_messages(topic)
+    return stamps, *imu_halves(cast("list[ros.sensor_msgs__msg__Imu]", messages))
