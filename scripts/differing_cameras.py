@@ -4,7 +4,7 @@ The trajectory and the IMU are those of a real flight; the images are rendered a
 camera at times of its own. Each recording is written as an EuRoC folder and read like one of another program. The table
 has the error, relative to that of the recording with simultaneous exposures, and the frames by health::
 
-    python scripts/differing_cameras.py MH_01_easy --world hall --out runs/differing
+    python scripts/differing_cameras.py V1_02/groundtruth.csv --imu V1_02/imu0.csv --start-s 4 --duration-s 12
 """
 
 import sys
@@ -26,12 +26,13 @@ from dronevio.evaluation import ate
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.calibration.kalibr import camchain_yaml, imu_yaml, read_kalibr
-from dronevio.models.recordings.euroc import EurocRecording, write_euroc
-from dronevio.models.recordings.open import open_recording
+from dronevio.models.recordings.euroc import EurocRecording, read_imu, write_euroc
+from dronevio.models.recordings.tum import read_trajectory
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.state import CameraFrame, Health, Trajectory
+from dronevio.recorder import rig_of
 from dronevio.sim.cameras.schedule import FrameSchedule
-from dronevio.sim.refly import FlownPath, refly
+from dronevio.sim.refly import FlownPath, cut, refly
 from dronevio.sim.rendering.render import render_frames
 from dronevio.sim.rendering.render_job import RenderJob
 
@@ -44,9 +45,17 @@ MAX_RATIO, MIN_TRACKING = 1.2, 0.98
 class DifferingCamerasCommand:
     """Which flight is rendered, and where the recordings are written."""
 
-    recording: tyro.conf.Positional[Path]
-    """EuRoC folder with two cameras, real IMU samples and ground truth."""
-    world: str = "hall"
+    trajectory: tyro.conf.Positional[Path]
+    """Recorded trajectory: a TUM file, an EuRoC ground truth file, or a recording with ground truth."""
+    imu: Path | None = None
+    """IMU samples that belong to the trajectory, an EuRoC imu0/data.csv; synthesized by default."""
+    rig: str = "euroc-stereo"
+    """Sensors: the name of a rig with two cameras, or a file with its calibration."""
+    start_s: float = 0.0
+    """Time after the beginning of the trajectory at which the recordings begin [s]."""
+    duration_s: float | None = None
+    """Duration of the recordings [s]; up to the end of the trajectory by default."""
+    world: str = "room"
     """World that is placed around the trajectory."""
     seeds: tuple[int, ...] = (0,)
     """Seeds of the world, the noise of the images and the jitter."""
@@ -188,11 +197,10 @@ def row_of(name: str, run: EstimatorRun, truth: Trajectory, paired_m: float | No
 
 def recordings(command: DifferingCamerasCommand, seed: int) -> dict[str, Recording]:
     """Return the recordings of a seed by name, the one with simultaneous exposures first."""
-    real = EurocRecording.open(command.recording, 2)
-    if real.ground_truth is None:
-        raise SystemExit(f"{command.recording}: no ground truth; expected a recording with the true motion")
-    flown = refly(real.ground_truth, real.imu, real.rig, command.world, seed)
-    out, count = command.out / f"{command.recording.name}-{command.world}-{seed}", len(flown.schedule)
+    path = cut(read_trajectory(command.trajectory), command.start_s, command.duration_s)
+    imu = None if command.imu is None else read_imu(command.imu)
+    flown = refly(path, imu, rig_of(command.rig), command.world, seed)
+    out, count = command.out / f"{command.world}-{seed}", len(flown.schedule)
     rng = np.random.default_rng([seed, 7])
     delays_ns = {
         "simultaneous": np.zeros(count, np.int64),
@@ -230,11 +238,11 @@ def main(command: DifferingCamerasCommand) -> int:
         paired_m: float | None = None
         for name, recording in recordings(command, seed).items():
             run = estimate_recording(recording, VisualInertialOdometry(recording.rig))
-            truth = recording.ground_truth or open_recording(command.recording).ground_truth
+            truth = recording.ground_truth
             assert truth is not None
             rows.append(row_of(name, run, truth, paired_m))
             paired_m = paired_m or ate(truth, run).rmse
-        print_table(f"{command.recording.name} in {command.world}, seed {seed}", titles, rows)
+        print_table(f"{command.trajectory} in {command.world}, seed {seed}", titles, rows)
         missed |= any(row[-1] == "no" for row in rows)
     return int(missed)
 

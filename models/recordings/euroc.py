@@ -278,7 +278,7 @@ def _complete_frames(mav0: Path, lists: Sequence[ImageList], complete: bool, rig
 def _require_frames(mav0: Path, groups: FrameGroups) -> None:
     """Raise InputError if no frame has an image of every camera."""
     if not groups.is_complete.any():
-        found = f"{groups.rows.shape[1]} cameras without images of the same time"
+        found = f"{groups.rows.shape[1]} cameras without a time stamp in common, or any close to one another"
         raise InputError(mav0, found, "cameras of one clock that record at the same time")
 
 

@@ -360,8 +360,8 @@ def _frames(
     if groups.is_complete.any():
         return groups if repair else groups[groups.is_complete]
     groups = grouped_frames(stamps, offsets_s, MAX_TIME_S)
-    delays_ns = groups.delays_ns[groups.is_complete]
-    differ_s = 1e-9 * float(np.ptp(delays_ns, axis=1).min()) if len(delays_ns) else np.inf
+    t_ns = np.stack([of[rows] for of, rows in zip(stamps, groups.rows[groups.is_complete].T, strict=True)])
+    differ_s = 1e-9 * float(np.ptp(t_ns, axis=0).min(initial=MAX_TIME_S * 1e9))
     expected = "half of the time between frames" if sync_tolerance_s is None else f"{sync_tolerance_s:g} s"
     raise bag.error(
         f"no images of all {len(images)} cameras closer in time than {differ_s:.4g} s",

@@ -111,11 +111,11 @@ def orbslam3_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str
             different sizes.
     """
     _require_at_most_two(rig, "ORB-SLAM3")
-    _require_one_size(rig, "ORB-SLAM3")
-    _common_offset_s(rig, "ORB-SLAM3")
     first = rig.cameras[0]
     if any(camera.model.lens != first.model.lens for camera in rig.cameras):
         raise ConfigError("cameras with different lens models; expected the same for ORB-SLAM3")
+    _require_one_size(rig, "ORB-SLAM3")
+    _common_offset_s(rig, "ORB-SLAM3")
     fisheye = first.model.lens == "equidistant"
     terms = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2")
     text = f'{_OPENCV}File.version: "1.0"\nCamera.type: "{"KannalaBrandt8" if fisheye else "PinHole"}"\n'
