@@ -63,8 +63,6 @@ def open_images(
 
 def is_recording(path: Path) -> bool:
     """Return whether a path is that of a recording: an EuRoC folder or a bag."""
-    if path.suffix == ".bag":
-        return True  # of ROS 1, which is refused with instructions for its conversion
     return is_bag(path) or (path / "mav0").is_dir() or (path / "cam0" / "data.csv").is_file()
 
 

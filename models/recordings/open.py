@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuModel, Times
 from dronevio.models.recordings import tum
-from dronevio.models.recordings.bag.options import BagTopics
+from dronevio.models.recordings.bag.options import STORAGES, BagTopics
 from dronevio.models.recordings.calibration.euroc import count_cameras, read_euroc_rig
 from dronevio.models.recordings.calibration.kalibr import CAMCHAIN_FILE, read_kalibr
 from dronevio.models.recordings.euroc import EurocRecording, find_mav0, read_euroc_segment_times
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 StoredRecording: TypeAlias = "EurocRecording | BagRecording"
 """Types that `open_recording` returns: a `Recording` with ``frame_truth``, ``complete``, ``defects`` and ``later``."""
 
-_STORAGES = (".mcap", ".db3")
-
 
 def open_recording(
     path: Path | str,
@@ -36,7 +34,7 @@ def open_recording(
     """Open a recording. Images are read one frame at a time, on request.
 
     Args:
-        path: An EuRoC folder (``mav0`` or its parent), an ``.mcap`` or ``.db3`` file, or a folder written by
+        path: An EuRoC folder (``mav0`` or its parent), a ``.bag``, ``.mcap`` or ``.db3`` file, or a folder written by
             ``ros2 bag``.
         cameras: Number of cameras to use, in the order of the calibration; None for all.
         calibration: Calibration files of Kalibr, for a bag without a complete calibration.
@@ -59,12 +57,8 @@ def open_recording(
         return BagRecording.open(path, cameras, calibration, topics, repair=repair, imu=imu)
     if calibration or (topics is not None and topics != BagTopics()):
         raise ConfigError(f"{path}: calibration and topics are for bags; expected an EuRoC folder without them")
-    if path.suffix == ".bag":
-        raise InputError(
-            path, "a bag of ROS 1", "one of ROS 2; convert it with rosbags-convert --src OLD.bag --dst NEW"
-        )
     if not path.exists():
-        raise InputError(path, "no such file or folder", "an EuRoC folder, an .mcap file or a ROS 2 bag")
+        raise InputError(path, "no such file or folder", "an EuRoC folder, a bag of ROS 1 or ROS 2, or a video")
     recording = EurocRecording.open(path, cameras, repair)
     if imu is None:
         return recording
@@ -73,12 +67,12 @@ def open_recording(
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path has the name or the contents of a ROS 2 bag."""
+    """Return whether a path has the name or the contents of a bag."""
     if path.is_dir():
         if (path / "mav0").is_dir():
             return False
-        return (path / "metadata.yaml").exists() or any(file.suffix in _STORAGES for file in path.iterdir())
-    return path.suffix in _STORAGES
+        return (path / "metadata.yaml").exists() or any(file.suffix in STORAGES for file in path.iterdir())
+    return path.suffix in STORAGES
 
 
 def read_rig(path: Path) -> Rig:

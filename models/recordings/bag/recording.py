@@ -1,4 +1,4 @@
-"""Reading of recordings from ROS 2 bags.
+"""Reading of recordings from bags of ROS 1 and ROS 2.
 
 Topics are found by their message type. Bags that this package wrote are read without loss of precision; for others, the
 calibration that is not in the bag (IMU noise, often the extrinsics of the cameras) comes from Kalibr's files. Times are
@@ -9,19 +9,20 @@ Opening a bag reads the time stamp of each image; `BagRecording.frame` decodes t
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 import numpy.typing as npt
-from rosbags.typesys.stores import ros2_humble as ros
 
 from dronevio.models.defects import Defect, DefectKind
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel, ImuSamples, Sampling, Times
 from dronevio.models.recordings.bag.file import BagFile
-from dronevio.models.recordings.bag.messages import ImageMessage, grey_image, imu_samples
+from dronevio.models.recordings.bag.imu import read_imu_rows
+from dronevio.models.recordings.bag.messages import ImageMessage, grey_image
 from dronevio.models.recordings.bag.missing import MissingParts
 from dronevio.models.recordings.bag.options import BagTopics
 from dronevio.models.recordings.bag.rig import bag_rig, read_calibrations
@@ -29,15 +30,14 @@ from dronevio.models.recordings.bag.stamps import TopicStamps
 from dronevio.models.recordings.bag.topics import IMAGE_TYPES, IMU_TYPES, find_topics, image_topics, truth_topic
 from dronevio.models.recordings.bag.truth import read_bag_frame_truth, read_bag_truth
 from dronevio.models.recordings.bag.writer import TRUTH_TOPIC
+from dronevio.models.recordings.bit_depth import MAX_BITS, DeepImage, significant_bits, spread, to_8bit
+from dronevio.models.recordings.frame_groups import ABSENT, FrameGroups, delays_of_frame, grouped_frames
 from dronevio.models.recordings.frame_truth import FrameTruth
 from dronevio.models.recordings.images import DamagedImageError
 from dronevio.models.recordings.repair import (
-    ABSENT,
     IMAGE_STAMPS,
-    SYNC_TOLERANCE_S,
     imu_defects,
     increasing_rows,
-    paired_frames,
     repaired_samples,
     unpaired_images,
 )
@@ -47,10 +47,12 @@ from dronevio.models.state import NO_IMAGE, CameraFrame, Trajectory
 
 Array = npt.NDArray[np.float64]
 
+MAX_TIME_S = 1e9  # longer than any recording
+
 
 @dataclass(frozen=True, eq=False)
 class BagRecording:
-    """A recording in a ROS 2 bag; satisfies the `Recording` protocol."""
+    """A recording in a bag; satisfies the `Recording` protocol."""
 
     name: str
     """Name of the file or folder of the bag."""
@@ -69,6 +71,8 @@ class BagRecording:
     """Topics that were read."""
     image_rows: npt.NDArray[np.int64] = field(repr=False)
     """(M, C) Index of the message of each frame and camera in the image topic, `ABSENT` where there is none."""
+    image_delays_ns: Times = field(repr=False)
+    """(M, C) How much later than its frame each image is stamped [ns]."""
     images: tuple["ImageTopic", ...] = field(repr=False)
     """Image topic of each camera."""
     complete: bool = True
@@ -88,18 +92,19 @@ class BagRecording:
         cameras: int | None = None,
         calibration: Sequence[Path] = (),
         topics: BagTopics | None = None,
-        sync_tolerance_s: float = SYNC_TOLERANCE_S,
+        sync_tolerance_s: float | None = None,
         repair: bool = False,
         imu: ImuModel | None = None,
     ) -> "BagRecording":
         """Read everything except the images.
 
         Args:
-            path: An ``.mcap`` or ``.db3`` file, or a folder written by ``ros2 bag``.
+            path: A ``.bag``, ``.mcap`` or ``.db3`` file, or a folder written by ``ros2 bag``.
             cameras: Number of cameras to use; None for all.
             calibration: Calibration files of Kalibr, which replace the calibration in the bag.
             topics: Topics to read instead of those found by message type.
-            sync_tolerance_s: Largest difference of the time stamps of the images of one frame [s].
+            sync_tolerance_s: Largest difference between the exposures of two images of one frame [s]; None for half of
+                the time between frames, at most 25 ms.
             repair: Whether to go on with damaged images, time stamps that do not increase and IMU samples that are not
                 finite, and to list them in `defects`. Otherwise, damaged images, equal time stamps and samples that are
                 not finite raise an error, and frames that not every camera has are left out.
@@ -117,7 +122,7 @@ class BagRecording:
         selected = find_topics(bag, topics or BagTopics(), _calibrated_topics(bag, files), cameras, parts)
         if not selected.images or not selected.imu:
             bag_rig(bag, selected, read_calibrations(bag, files), 20.0, parts, imu)  # raises for all that is missing
-        imu_stamps, imu_values = _imu_rows(bag, selected.imu)
+        imu_stamps, imu_values = read_imu_rows(bag, selected.imu)
         streams = [imu_stamps, *(bag.stamps(topic) for topic in selected.images)]
         split = split_at_steps([each.t_ns for each in streams])
         if not repair:
@@ -129,9 +134,10 @@ class BagRecording:
         def segment(index: int) -> "BagRecording":
             own = [each.selected(split.rows(k)[index]) for k, each in enumerate(streams)]
             images = tuple(ImageTopic(bag, stamps, repair) for stamps in own[1:])
-            times, rows = (_all_frames if repair else synchronized)(bag, images, sync_tolerance_s)
-            calibrations = read_calibrations(bag, files, _rate_hz(times))
-            rig, sampling = bag_rig(bag, selected, calibrations, _rate_hz(times), parts, imu)
+            calibrations = read_calibrations(bag, files, _rate_hz(images[0].t_ns))
+            rig, sampling = bag_rig(bag, selected, calibrations, _rate_hz(images[0].t_ns), parts, imu)
+            frames = _frames(bag, images, rig, sync_tolerance_s, repair)
+            times = frames.t_ns
             samples, imu_found = _imu_of(bag, own[0], imu_values[split.rows(0)[index]], sampling, repair)
             if imu is not None and len(samples) > 1:
                 rig = replace(rig, imu=replace(imu, rate_hz=_rate_hz(samples.t_ns)))
@@ -140,7 +146,7 @@ class BagRecording:
                 defects = (
                     *(defect for each in own for defect in each.defects),
                     *(defect for topic in images for defect in topic.defects),
-                    *unpaired_images(times, rows, selected.images),
+                    *unpaired_images(times, frames.rows, selected.images),
                     *imu_found,
                     *imu_defects(samples, times, rig.time_offset_s, bag.path),
                     *split.defects(index, [each.place for each in streams]),
@@ -153,7 +159,8 @@ class BagRecording:
                 ground_truth=truths[index],
                 frame_truth=frame_truth,
                 topics=selected,
-                image_rows=rows,
+                image_rows=frames.rows,
+                image_delays_ns=frames.delays_ns,
                 images=images,
                 repair=repair,
                 defects=defects,
@@ -182,7 +189,8 @@ class BagRecording:
                     raise
                 defects.append(Defect(DefectKind.DAMAGED_IMAGE, t_ns, error.found))
             images.append(image)
-        return CameraFrame(t_ns, tuple(images), defects=tuple(defects))
+        delays_ns = delays_of_frame(self.image_delays_ns[index])
+        return CameraFrame(t_ns, tuple(images), defects=tuple(defects), image_delays_ns=delays_ns)
 
 
 class ImageTopic:
@@ -209,16 +217,32 @@ class ImageTopic:
         self.t_ns: Times = t_ns[order]
         """(K,) Time stamps of the images, increasing [ns]."""
         self._stamps = stamps.selected(order)
+        self._bits: int | None = None  # significant bits of images of 16 bits, once there was one
         self._reader: BagFile | None = None
         self._following: Iterator[tuple[int, bytes]] = iter(())
 
     def image(self, row: int, width: int, height: int) -> npt.NDArray[np.uint8]:
         """Return the grey image (height, width) with index ``row`` in the order of time stamps.
 
+        Images of 16 bits are scaled by the range that occurs in those of the topic.
+
         Raises:
             DamagedImageError: The image is damaged.
             InputError: The image has another size or encoding.
         """
+        deep = self._stored(row, width, height)
+        if deep.dtype != np.uint8 and self._bits is None:
+            self._bits = significant_bits(self._readable(width, height))
+        return to_8bit(deep, self._bits or MAX_BITS)
+
+    def _readable(self, width: int, height: int) -> Iterator[DeepImage]:
+        """Yield some images of the topic as they are stored, of those that can be read."""
+        for row in spread(range(len(self.t_ns))):
+            with suppress(InputError):
+                yield self._stored(row, width, height)
+
+    def _stored(self, row: int, width: int, height: int) -> DeepImage:
+        """Return an image as it is stored; see `image`."""
         raw = self._message(row)
         try:
             message = cast(ImageMessage, self._bag.decode(self._topic, raw))
@@ -308,16 +332,6 @@ def _truths(bag: BagFile, topic: str, imu: TopicStamps, split: Split) -> tuple[T
     return (read_bag_truth(bag, topic),) * count
 
 
-def _imu_rows(bag: BagFile, topic: str) -> tuple[TopicStamps, Array]:
-    """Return the time stamps of IMU samples and their values (N, 6), in the order of the bag, or raise InputError."""
-    stamps, messages = bag.listed_messages(topic)
-    try:
-        gyro, accel = imu_samples(cast("list[ros.sensor_msgs__msg__Imu]", messages))
-    except ValueError as error:
-        raise bag.error(f"{topic}: {error}", "both in each message") from None
-    return stamps, np.hstack([gyro, accel])
-
-
 def _imu_of(
     bag: BagFile, stamps: TopicStamps, values: Array, sampling: Sampling, repair: bool
 ) -> tuple[ImuSamples, tuple[Defect, ...]]:
@@ -336,51 +350,26 @@ def _imu_of(
     return ImuSamples(t_ns, gyro, accel, sampling), defects
 
 
-def _all_frames(
-    bag: BagFile, images: Sequence[ImageTopic], sync_tolerance_s: float
-) -> tuple[Times, npt.NDArray[np.int64]]:
-    """Return the frames that at least one camera has, as `synchronized` does.
+def _frames(
+    bag: BagFile, images: Sequence[ImageTopic], rig: Rig, sync_tolerance_s: float | None, repair: bool
+) -> FrameGroups:
+    """Return the frames for which every camera has an image; with `repair`, also those of some cameras.
 
     Raises:
         InputError: No frame has an image of each camera.
     """
-    times, rows = paired_frames([topic.t_ns for topic in images], sync_tolerance_s)
-    if (rows == ABSENT).any(axis=1).all():
-        return synchronized(bag, images, sync_tolerance_s)  # raises the error
-    return times, rows
-
-
-def synchronized(
-    bag: BagFile, images: Sequence[ImageTopic], sync_tolerance_s: float
-) -> tuple[Times, npt.NDArray[np.int64]]:
-    """Return the synchronized frames of C cameras.
-
-    Args:
-        bag: The bag, for error messages.
-        images: C image topics.
-        sync_tolerance_s: Largest difference of the time stamps of the images of one frame [s].
-
-    Returns:
-        Time stamps (M,) [ns] of the first camera, and the index (M, C) of each image in its topic.
-
-    Raises:
-        InputError: No frame has an image of each camera.
-    """
-    times = images[0].t_ns
-    rows, differences = [np.arange(len(times))], [np.zeros(len(times), np.int64)]
-    for other in images[1:]:
-        after = np.clip(np.searchsorted(other.t_ns, times), 1, max(len(other.t_ns) - 1, 1))
-        before = after - 1
-        after = np.minimum(after, len(other.t_ns) - 1)
-        nearest = np.where(np.abs(other.t_ns[after] - times) < np.abs(other.t_ns[before] - times), after, before)
-        rows.append(nearest)
-        differences.append(np.abs(other.t_ns[nearest] - times))
-    largest = np.max(differences, axis=0)
-    kept = largest <= sync_tolerance_s * 1e9
-    if not kept.any():
-        found = f"no images of all {len(images)} cameras closer in time than {largest.min() * 1e-9:.4g} s"
-        raise bag.error(found, f"frames whose time stamps differ by at most {sync_tolerance_s:g} s")
-    return times[kept], np.stack(rows, axis=1)[kept]
+    stamps, offsets_s = [topic.t_ns for topic in images], [camera.time_offset_s for camera in rig.cameras]
+    groups = grouped_frames(stamps, offsets_s, sync_tolerance_s)
+    if groups.is_complete.any():
+        return groups if repair else groups[groups.is_complete]
+    groups = grouped_frames(stamps, offsets_s, MAX_TIME_S)
+    t_ns = np.stack([of[rows] for of, rows in zip(stamps, groups.rows[groups.is_complete].T, strict=True)])
+    differ_s = 1e-9 * float(np.ptp(t_ns, axis=0).min(initial=MAX_TIME_S * 1e9))
+    expected = "half of the time between frames" if sync_tolerance_s is None else f"{sync_tolerance_s:g} s"
+    raise bag.error(
+        f"no images of all {len(images)} cameras closer in time than {differ_s:.4g} s",
+        f"frames whose time stamps differ by at most {expected}",
+    )
 
 
 def _rate_hz(times_ns: Times) -> float:

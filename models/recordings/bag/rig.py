@@ -98,7 +98,7 @@ def bag_rig(
 def _cameras_of_messages(bag: BagFile, topics: BagTopics, rate_hz: float, parts: MissingParts) -> tuple[RigCamera, ...]:
     """Return the cameras according to CameraInfo and /tf_static; what is missing is added to ``parts``."""
     poses = _static_poses(bag)
-    imu_frame = _frame_of(bag, topics.imu) if topics.imu else None
+    imu_frame = _frame_of(bag, topics.imu[0]) if topics.imu else None
     cameras = []
     for topic in topics.images:
         info_topic = camera_info_topic(topic)

@@ -4,7 +4,8 @@ As in the data set, the files have no first line ``%YAML:1.0``, which PyYAML ref
 
 Fields of a `Rig` that the format does not include are written under additional keys, which other readers ignore:
 ``T_vehicle_imu`` (pose of the IMU in the vehicle frame) and ``time_offset_s`` (t_imu − t_cam) in ``body.yaml``,
-``readout_s`` in the ``sensor.yaml`` of a camera with a rolling shutter, and the keys of
+``readout_s`` in the ``sensor.yaml`` of a camera with a rolling shutter, ``time_offset_s`` in that of a camera that is
+exposed at another time than the first, and the keys of
 `dronevio.models.recordings.calibration.imu_fields` in that of the IMU, with ``sampling`` if its samples are increments.
 """
 
@@ -96,9 +97,10 @@ def _read_camera(yaml: SensorYaml) -> RigCamera:
         raise yaml.error("intrinsics", "fu, fv, cu, cv with positive focal lengths")
     k = yaml.numbers("distortion_coefficients", 4)
     readout_s = yaml.number("readout_s") if "readout_s" in yaml else 0.0
+    offset_s = yaml.number("time_offset_s") if "time_offset_s" in yaml else 0.0
     with as_input_error(yaml.path):
         model = CameraModel(int(size[0]), int(size[1]), fx, fy, cx, cy, (k[0], k[1], k[2], k[3]), LENS_NAMES[lens])
-        return RigCamera(model, yaml.pose("T_BS"), yaml.positive("rate_hz"), readout_s)
+        return RigCamera(model, yaml.pose("T_BS"), yaml.positive("rate_hz"), readout_s, offset_s)
 
 
 def _read_imu(yaml: SensorYaml) -> ImuModel:
@@ -110,7 +112,11 @@ def _read_imu(yaml: SensorYaml) -> ImuModel:
 
 def _camera_yaml(camera: RigCamera) -> str:
     """Return the ``sensor.yaml`` of a camera."""
-    m = camera.model
+    m, more = camera.model, ""
+    if camera.readout_s:
+        more += f"readout_s: {yaml_text(float(camera.readout_s))} # first to last row\n"
+    if camera.time_offset_s:
+        more += f"time_offset_s: {yaml_text(float(camera.time_offset_s))} # of the exposure, beside that in body.yaml\n"
     return (
         "sensor_type: camera\ncomment: pixel centres are whole numbers\n\n"
         f"# pose of the camera (x right, y down, z forward) in the body frame\n{pose_yaml('T_BS', camera.T_imu_cam)}\n"
@@ -120,7 +126,8 @@ def _camera_yaml(camera: RigCamera) -> str:
         f"intrinsics: {yaml_text(tuple(map(float, (m.fx, m.fy, m.cx, m.cy))))} # fu, fv, cu, cv\n"
         f"distortion_model: {_EUROC_NAMES[m.lens]}\n"
         f"distortion_coefficients: {yaml_text(tuple(map(float, m.distortion)))}\n"
-    ) + (f"readout_s: {yaml_text(float(camera.readout_s))} # first to last row\n" if camera.readout_s else "")
+        f"{more}"
+    )
 
 
 def _imu_yaml(imu: ImuModel) -> str:

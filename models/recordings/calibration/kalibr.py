@@ -9,7 +9,7 @@ OpenVINS), ``rate_hz`` and ``readout_s`` of a camera, ``T_vehicle_imu``, ``sampl
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
 
@@ -51,7 +51,7 @@ class KalibrCalibration:
     topics: tuple[str, ...]
     """Image topic of each camera, empty if it is not specified."""
     time_offset_s: float
-    """Time offset of the camera clock: t_imu = t_cam + offset [s]."""
+    """Time offset of the first camera: t_imu = t_cam + offset [s]; those of the others are relative to it."""
     imu: ImuModel | None
     """IMU of the files, None if there is none."""
     T_vehicle_imu: Array
@@ -175,7 +175,7 @@ def _camera_yaml(rig: Rig, number: int) -> str:
     if number:
         text += rows_yaml("T_cn_cnm1", T_cam_imu @ rig.cameras[number - 1].T_imu_cam)
     text += (
-        f"timeshift_cam_imu: {yaml_text(float(rig.time_offset_s))}\n"
+        f"timeshift_cam_imu: {yaml_text(float(rig.time_offset_s + camera.time_offset_s))}\n"
         f"rostopic: {CAMERA_TOPIC.format(number)}\n"
         f"cam_overlaps: [{others}]\n"
         f"{rows_yaml('T_imu_cam', camera.T_imu_cam)}"
@@ -218,10 +218,13 @@ def _read_chain(yaml: SensorYaml, rate_hz: float) -> tuple[tuple[RigCamera, ...]
     topics = tuple(yaml.word(f"{cam}rostopic") if f"{cam}rostopic" in yaml else "" for cam in names)
     shifts = [f"{cam}timeshift_cam_imu" for cam in names]
     offsets = tuple(yaml.number(key) if key in yaml else 0.0 for key in shifts)
-    for key, offset_s in zip(shifts, offsets, strict=True):
-        if abs(offset_s - offsets[0]) > _TIME_OFFSET_TOLERANCE_S:
-            raise yaml.error(key, f"that of cam0, {offsets[0]:g} s, because a frame has one time stamp")
-    return tuple(cameras), topics, offsets
+    own = [round(offset_s - offsets[0], 12) for offset_s in offsets]
+    with as_input_error(yaml.path):
+        timed = tuple(
+            replace(camera, time_offset_s=own_s) if abs(own_s) > _TIME_OFFSET_TOLERANCE_S else camera
+            for camera, own_s in zip(cameras, own, strict=True)
+        )
+    return timed, topics, offsets
 
 
 def _read_camera(yaml: SensorYaml, cam: str, previous: list[RigCamera], rate_hz: float) -> RigCamera:
