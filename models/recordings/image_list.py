@@ -73,9 +73,9 @@ class ImageList:
 
     def existing(self) -> npt.NDArray[np.bool_]:
         """Return for each image (N,) whether its file exists."""
-        folder = self.path.parent / "data"
-        names = {file.name for file in folder.iterdir()} if folder.is_dir() else set()
-        return np.array([file.name in names for file in self.files], dtype=np.bool_)
+        folders = {file.parent for file in self.files}
+        found = {file for folder in folders if folder.is_dir() for file in folder.iterdir()}
+        return np.array([file in found for file in self.files], dtype=np.bool_)
 
     def missing(self) -> tuple[Defect, ...]:
         """Return the defects of the images that are listed and do not exist."""
@@ -83,7 +83,7 @@ class ImageList:
             Defect(
                 DefectKind.MISSING_IMAGE,
                 int(self.t_ns[row]),
-                f"{self.path}:{self.lines[row]}: no file data/{self.files[row].name}",
+                f"{self.path}:{self.lines[row]}: no file {self.files[row].parent.name}/{self.files[row].name}",
             )
             for row in np.flatnonzero(~self.existing()).tolist()
         )
