@@ -10,7 +10,8 @@ from dronevio.models.imu import ImuModel, Times
 from dronevio.models.recordings import tum
 from dronevio.models.recordings.bag.options import BagTopics
 from dronevio.models.recordings.calibration.euroc import count_cameras, read_euroc_rig
-from dronevio.models.recordings.calibration.kalibr import CAMCHAIN_FILE, read_kalibr
+from dronevio.models.recordings.calibration.kalibr import CAMCHAIN_FILE
+from dronevio.models.recordings.calibration.reading import read_calibrated_rig
 from dronevio.models.recordings.euroc import EurocRecording, find_mav0, read_euroc_frame_times
 from dronevio.models.rig import Rig
 from dronevio.models.state import Trajectory
@@ -80,7 +81,7 @@ def is_bag(path: Path) -> bool:
 
 
 def read_rig(path: Path) -> Rig:
-    """Return the rig of a recording or of Kalibr's files (`kalibr.read_kalibr`).
+    """Return the rig of a recording or of calibration files (`read_calibrated_rig`).
 
     Raises:
         InputError: The path has no calibration, or is damaged.
@@ -91,7 +92,7 @@ def read_rig(path: Path) -> Rig:
     if path.is_dir() and not (path / CAMCHAIN_FILE).exists():
         mav0 = find_mav0(path)
         return read_euroc_rig(mav0, count_cameras(mav0))
-    return read_kalibr(path)
+    return read_calibrated_rig(path)
 
 
 def read_trajectory(path: Path) -> Trajectory:
