@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from dronevio.models.errors import InputError
-from dronevio.models.imu import ImuModel
+from dronevio.models.imu import ImuModel, Times
 from dronevio.models.recordings.euroc import read_groundtruth
 from dronevio.models.recordings.files import read_text
 from dronevio.models.recordings.folder_contents import FolderContents, calibrated_rig
@@ -80,6 +80,15 @@ def read_dso_truth(folder: Path) -> Trajectory:
         InputError: It is missing or damaged.
     """
     return read_groundtruth(folder / TRUTH_FILE)
+
+
+def read_dso_frame_times(folder: Path) -> Times:
+    """Return the time stamps (M,) [ns] of the frames of the first camera.
+
+    Raises:
+        InputError: The list is missing or damaged.
+    """
+    return np.unique(_read_times(folder / "cam0").t_ns)
 
 
 def _read_times(camera: Path) -> ImageList:

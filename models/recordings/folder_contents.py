@@ -8,7 +8,7 @@ import numpy as np
 
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel, Sampling, Times
-from dronevio.models.recordings.calibration.kalibr import read_calibration
+from dronevio.models.recordings.calibration.reading import read_calibration
 from dronevio.models.recordings.frame_truth import FrameTruth
 from dronevio.models.recordings.image_list import ImageList
 from dronevio.models.recordings.timed_table import TableFormat, TimedTable
@@ -65,7 +65,9 @@ def calibrated_rig(
     if imu is not None:
         calibration = replace(calibration, imu=replace(imu, rate_hz=rate_hz(imu_t_ns, imu.rate_hz)))
     if calibration.imu is None:
-        expected = "Kalibr's imu.yaml as well (--calibration camchain.yaml imu.yaml), or the name of an IMU (--imu BMI088)"
+        expected = (
+            "Kalibr's imu.yaml as well (--calibration camchain.yaml imu.yaml), or the name of an IMU (--imu BMI088)"
+        )
         raise InputError(files[0], "no noise densities of the IMU", expected)
     rig = calibration.rig()
     return replace(rig, cameras=rig.cameras[: len(lists)]), calibration.sampling

@@ -95,6 +95,11 @@ class ImageList:
         return type(self)(self.path, self.t_ns[indices], files, self.lines[indices])
 
 
+def is_file_name(name: str) -> bool:
+    """Return whether a name in a list refers to a file in its folder, and not to one outside."""
+    return name not in (".", "..") and not any(character in name for character in "/\\\0")
+
+
 def _image_rows(path: Path, text: str) -> Iterator[tuple[int, int, str]]:
     """Yield line, time stamp [ns] and file name of each image, or raise InputError."""
     for line, raw in enumerate(text.split("\n"), 1):
@@ -108,8 +113,7 @@ def _image_rows(path: Path, text: str) -> Iterator[tuple[int, int, str]]:
             raise InputError(path, f"time stamp {stamp[:40]!r}", "whole nanoseconds", line) from None
         if not comma or not name or "," in name:
             raise InputError(path, repr(row[:60]), "two columns: time stamp [ns], file name", line)
-        # A list must not refer to files outside its folder.
-        if name in (".", "..") or any(character in name for character in "/\\\0"):
+        if not is_file_name(name):
             raise InputError(path, f"file name {name[:60]!r}", "the name of a file in the folder data", line)
         if abs(t_ns) >= TIME_LIMIT_NS:
             raise InputError(path, f"time stamp {stamp[:40]}", "whole nanoseconds, below 2⁶² ns", line)

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
 from dronevio.models.imu import EUROC_IMU, ImuModel, Times
-from dronevio.models.recordings.calibration.kalibr import read_calibration
+from dronevio.models.recordings.calibration.reading import read_calibration
 from dronevio.models.recordings.files import as_input_error, read_bytes, read_text
 from dronevio.models.recordings.folder_contents import FolderContents, rate_hz
 from dronevio.models.recordings.image_header import header_of
@@ -56,7 +56,11 @@ def is_kitti_folder(path: Path) -> bool:
 
 
 def read_kitti_contents(
-    folder: Path, cameras: int | None = None, calibration: Sequence[Path] = (), imu: ImuModel | None = None
+    folder: Path,
+    cameras: int | None = None,
+    calibration: Sequence[Path] = (),
+    imu: ImuModel | None = None,
+    for_odometry: bool = False,
 ) -> FolderContents:
     """Return the contents of a drive or a sequence: of the grey cameras, or the colour cameras without these.
 
@@ -65,9 +69,10 @@ def read_kitti_contents(
         cameras: Number of cameras to use; None for both.
         calibration: Files of Kalibr with the noise of the IMU, which KITTI does not specify.
         imu: Model of the IMU. Without any, the noise of the rig is that of EuRoC's IMU.
+        for_odometry: Whether an IMU and its noise are required.
 
     Raises:
-        InputError: A file is missing or damaged.
+        InputError: A file is missing or damaged; or, for odometry, there is no IMU or its noise is unknown.
         ConfigError: The number of cameras is less than 1.
     """
     check_camera_count(cameras)
@@ -80,13 +85,33 @@ def read_kitti_contents(
     times_file = folder / name.format(numbers[0]) / "timestamps.txt" if is_drive else folder / "times.txt"
     t_ns = _read_stamps(times_file) if is_drive else read_times_ns(times_file)
     lists = tuple(_images(folder / name.format(number), times_file, t_ns, is_drive) for number in numbers)
-    table, truth = _read_oxts(folder / "oxts") if is_drive else (_no_imu(folder), _sequence_truth(folder, t_ns))
+    table, truth = _read_oxts(folder / "oxts") if is_drive else (_no_imu(folder), _sequence_truth(folder))
+    if for_odometry and not len(table.t_ns):
+        raise InputError(
+            folder, "a sequence of KITTI, which has no IMU", "a drive of the raw data; dronevio sfm needs none"
+        )
+    if for_odometry and imu is None and not calibration:
+        raise InputError(
+            folder, "no noise densities of the IMU", "--calibration imu.yaml, or an IMU such as --imu BMI088"
+        )
     noise = imu or (read_calibration(calibration).imu if calibration else None) or replace(EUROC_IMU, name="unknown")
     noise = replace(noise, rate_hz=rate_hz(table.t_ns, 100.0))
     models = _drive_cameras(folder, numbers, lists[0]) if is_drive else _sequence_cameras(folder, numbers, lists[0])
     with as_input_error(folder):
         rig = Rig(tuple(RigCamera(model, T, rate_hz(t_ns, 10.0)) for model, T in models), noise)
     return FolderContents(folder.resolve().name, folder, lists, table, OXTS_TABLE, rig, ground_truth=truth)
+
+
+def read_kitti_frame_times(folder: Path) -> Times:
+    """Return the time stamps (M,) [ns] of the frames.
+
+    Raises:
+        InputError: The list is missing or damaged.
+    """
+    if (folder / "times.txt").is_file():
+        return read_times_ns(folder / "times.txt")
+    camera = next(n for n in range(4) if (folder / f"image_{n:02d}" / "timestamps.txt").is_file())
+    return _read_stamps(folder / f"image_{camera:02d}" / "timestamps.txt")
 
 
 def read_kitti_truth(folder: Path) -> Trajectory:
@@ -96,7 +121,7 @@ def read_kitti_truth(folder: Path) -> Trajectory:
         InputError: There is none, or it is damaged.
     """
     is_drive = not (folder / "times.txt").is_file()
-    truth = _read_oxts(folder / "oxts")[1] if is_drive else _sequence_truth(folder, read_times_ns(folder / "times.txt"))
+    truth = _read_oxts(folder / "oxts")[1] if is_drive else _sequence_truth(folder)
     if truth is None:
         raise InputError(folder, "no ground truth", "the folder poses beside the folder sequences, or oxts")
     return truth
@@ -224,15 +249,17 @@ def _rectified(size: Sequence[int], projection: Array) -> tuple[CameraModel, Arr
     return model, pose_matrix(np.eye(3), np.linalg.solve(P[:, :3], P[:, 3]))
 
 
-def _sequence_truth(folder: Path, t_ns: Times) -> Trajectory | None:
+def _sequence_truth(folder: Path) -> Trajectory | None:
     """Return the poses of the left camera in a frame whose z axis points up; None if the sequence has none."""
     place = folder.resolve()
-    found = [file for file in (place / "poses.txt", place.parents[1] / "poses" / f"{place.name}.txt") if file.is_file()]
+    found = [
+        file for file in (place / "poses.txt", place.parent.parent / "poses" / f"{place.name}.txt") if file.is_file()
+    ]
     if not found:
         return None
     poses = read_kitti(found[0], folder / "times.txt")
     rotations = R_UP_KITTI @ poses.rotations
-    return Trajectory(t_ns[: len(poses)], poses.p_world_imu @ R_UP_KITTI.T, quat_wxyz_from_matrix(rotations))
+    return Trajectory(poses.t_ns, poses.p_world_imu @ R_UP_KITTI.T, quat_wxyz_from_matrix(rotations))
 
 
 def _no_imu(folder: Path) -> TimedTable:
