@@ -272,9 +272,9 @@ def _tum_vi_calibration(mav0: Path) -> tuple[Path, ...]:
 
 def _strict_parts(contents: FolderContents) -> tuple[_Part, ...]:
     """Return what a folder without defects has, or raise InputError."""
+    frames = _strict_frames(contents.folder, contents.lists, contents.complete)
     if len(contents.imu.t_ns):
         check_table(contents.imu, contents.imu_form)
-    frames = _strict_frames(contents.folder, contents.lists, contents.complete)
     return (_Part(frames, _sampled(contents, _samples(contents.imu.t_ns, contents.imu.values))),)
 
 
