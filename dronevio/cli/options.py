@@ -40,12 +40,13 @@ class RecordingOptions(Settings):
     cameras: Annotated[int | None, Range(1, 16)] = None
     """Number of cameras to use, from the first on. All cameras are used by default."""
     calibration: tuple[Path, ...] = ()
-    """Kalibr files, camchain.yaml, imu.yaml or both, that replace the calibration of a ROS 2 bag."""
+    """Calibration files that replace or complete that of the recording: Kalibr's camchain.yaml, imu.yaml or both, or
+    Basalt's calibration.json."""
     imu: str | None = None
     """IMU whose noise parameters replace those of the recording, or supply them where they are unknown: euroc,
     ADIS16448, BMI088, MPU-6050 or tactical."""
     topics: BagTopics = field(default_factory=BagTopics)
-    """Topics of a ROS 2 bag that has several of one type."""
+    """Topics of a bag that has several of one type."""
 
     def open(self, path: Path, repair: bool = False) -> "StoredRecording":
         """Open a recording.

@@ -138,7 +138,7 @@ def _images(camera: Path, times_file: Path, t_ns: Times, is_drive: bool) -> Imag
     rows = np.flatnonzero([file.is_file() for file in files])
     if not len(rows):
         raise InputError(folder, "no images", f"images such as {0:0{digits}d}.png")
-    return ImageList(times_file, t_ns, files, np.arange(1, len(t_ns) + 1)).selected(rows)
+    return ImageList(camera / times_file.name, t_ns, files, np.arange(1, len(t_ns) + 1)).selected(rows)
 
 
 def _read_stamps(path: Path) -> Times:
