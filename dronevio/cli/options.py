@@ -45,6 +45,9 @@ class RecordingOptions(Settings):
     imu: str | None = None
     """IMU whose noise parameters replace those of the recording, or supply them where they are unknown: euroc,
     ADIS16448, BMI088, MPU-6050 or tactical."""
+    imu_rotation: str | None = None
+    """Axes of the IMU of a video along x (right), y (down) and z (forward) of the camera, where a small letter is the
+    opposite direction: yxz for GoPro cameras, which is the default. It replaces the pose of the calibration."""
     topics: BagTopics = field(default_factory=BagTopics)
     """Topics of a bag that has several of one type."""
 
@@ -66,7 +69,7 @@ class RecordingOptions(Settings):
             from dronevio.models.imu_presets import imu_named
 
             imu = imu_named(self.imu)
-        recording = open_recording(path, self.cameras, self.calibration, self.topics, repair, imu)
+        recording = open_recording(path, self.cameras, self.calibration, self.topics, repair, imu, self.imu_rotation)
         found = len(recording.rig.cameras)
         if self.cameras is not None and found < self.cameras:
             raise ConfigError(f"--cameras {self.cameras}: {path} has {found}; expected {found} or fewer")

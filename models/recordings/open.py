@@ -18,8 +18,12 @@ from dronevio.models.state import Trajectory
 
 if TYPE_CHECKING:
     from dronevio.models.recordings.bag.recording import BagRecording
+    from dronevio.models.recordings.gopro import VideoRecording
 
-StoredRecording: TypeAlias = "EurocRecording | BagRecording"
+VIDEO_SUFFIXES = (".mp4", ".mov", ".360")
+"""Suffixes of videos that may have telemetry, in lower case."""
+
+StoredRecording: TypeAlias = "EurocRecording | BagRecording | VideoRecording"
 """Types that `open_recording` returns: a `Recording` with ``frame_truth``, ``complete``, ``defects`` and ``later``."""
 
 
@@ -30,12 +34,14 @@ def open_recording(
     topics: BagTopics | None = None,
     repair: bool = False,
     imu: ImuModel | None = None,
+    imu_rotation: str | None = None,
 ) -> StoredRecording:
     """Open a recording. Images are read one frame at a time, on request.
 
     Args:
         path: An EuRoC folder (``mav0`` or its parent), a ``.bag``, ``.mcap`` or ``.db3`` file, a folder written by
-            ``ros2 bag``, a folder of DSO with an IMU, or a drive or sequence of KITTI.
+            ``ros2 bag``, a folder of DSO with an IMU, a drive or sequence of KITTI, or a video with the telemetry of a
+            GoPro camera.
         cameras: Number of cameras to use, in the order of the calibration; None for all.
         calibration: Calibration files of Kalibr or Basalt that replace or complete the calibration of the recording.
         topics: Topics of a bag to read, if they cannot be found by type.
@@ -44,26 +50,44 @@ def open_recording(
             Where the clock steps, the recording is the first segment, and ``later`` has the other ones.
         imu: Model of the IMU in place of that of the recording, for example where its noise is unknown. The rate stays
             that of the recording.
+        imu_rotation: Axes of the IMU of a video along those of the camera, such as ``yxz``; see
+            `dronevio.models.recordings.gopro.imu_rotation_named`.
 
     Raises:
         InputError: The path is none of these, damaged or not supported.
         ConfigError: The number of cameras is less than 1, or topics are given for a recording that is not a bag.
     """
     path = Path(path)
+    if path.suffix.lower() in VIDEO_SUFFIXES and not path.is_dir():
+        from dronevio.models.recordings.gopro import VideoRecording
+
+        _check_no_topics(path, topics)
+        return VideoRecording.open(path, cameras, calibration, imu, imu_rotation, repair)
+    if imu_rotation is not None:
+        raise ConfigError(
+            f"{path}: a rotation of the IMU is for videos; expected a calibration with the poses of cameras"
+        )
     if is_bag(path):
         from dronevio.models.recordings.bag.recording import BagRecording  # takes half a second
 
         return BagRecording.open(path, cameras, calibration, topics, repair=repair, imu=imu)
-    if topics is not None and topics != BagTopics():
-        raise ConfigError(f"{path}: topics are for bags; expected a recording of another format without them")
+    _check_no_topics(path, topics)
     if not path.exists():
-        raise InputError(path, "no such file or folder", "a folder of EuRoC, TUM-VI or KITTI, or a bag of ROS 1 or 2")
+        raise InputError(
+            path, "no such file or folder", "a folder of EuRoC, TUM-VI or KITTI, a bag of ROS, or a video of a GoPro"
+        )
     if kitti_folder.is_kitti_folder(path):
         contents = kitti_folder.read_kitti_contents(path, cameras, calibration, imu, for_odometry=repair)
         return EurocRecording.of(contents, repair)
     if dso_folder.is_dso_folder(path):
         return EurocRecording.of(dso_folder.read_dso_contents(path, cameras, calibration, imu), repair)
     return EurocRecording.open(path, cameras, repair, calibration, imu)
+
+
+def _check_no_topics(path: Path, topics: BagTopics | None) -> None:
+    """Raise ConfigError if topics are given for a recording that is not a bag."""
+    if topics is not None and topics != BagTopics():
+        raise ConfigError(f"{path}: topics are for bags; expected a recording of another format without them")
 
 
 def is_recording_folder(path: Path) -> bool:
