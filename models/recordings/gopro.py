@@ -210,13 +210,12 @@ def _smoothed(counts: Array, starts_s: Array) -> Array:
     half, result = SMOOTHED_PAYLOADS // 2, np.empty_like(starts_s)
     for row in range(len(starts_s)):
         near = slice(max(row - half, 0), row + half + 1)
-        slope, at_row = np.polyfit(counts[near] - counts[row], starts_s[near], 1)
-        result[row] = at_row
+        result[row] = np.polyfit(counts[near] - counts[row], starts_s[near], 1)[1]
     return result
 
 
 def _with_pose(document: YamlDocument, imu_rotation: str | None) -> YamlDocument:
-    """Return a calibration of Kalibr in which the first camera has the pose that the IMU's axes give, if it is needed."""
+    """Return a calibration in which the first camera has the pose that the axes of the IMU give, if it is needed."""
     poses = ("cam0.T_imu_cam", "cam0.T_cam_imu")
     if "cam0" not in document.lines or (imu_rotation is None and any(key in document for key in poses)):
         return document
