@@ -124,6 +124,15 @@ class ImuPropagation:
         return NavState(t_ns, end.pose().matrix(), end.velocity(), start.gyro_bias_rad_s, start.accel_bias_m_s2)
 
 
+def propagated(state: NavState, increments: Increments, params: PreintegrationParams, imu: ImuModel) -> NavState:
+    """Return a state with its covariance, propagated by IMU increments that begin at its time."""
+    nav = gtsam.NavState(gtsam.Pose3(state.T_world_imu), state.velocity_m_s)
+    bias = gtsam.imuBias.ConstantBias(state.accel_bias_m_s2, state.gyro_bias_rad_s)
+    propagation = ImuPropagation(params, imu, state, (nav, bias))
+    propagation.add(increments)
+    return propagation.state_at(state.t_ns + round(increments.duration_s * 1e9))
+
+
 class Propagator:
     """The interval from the newest keyframe to the next: prediction, stationarity, and when it ends."""
 
@@ -146,7 +155,7 @@ class Propagator:
         """
         self._propagation = ImuPropagation(params, imu, smoother.state, smoother.gtsam_state)
         self._policy = policy
-        self._may_be_stationary = _velocity_may_be_zero(smoother.state)
+        self._may_be_stationary = velocity_may_be_zero(smoother.state)
         self._stationary: list[FramePacket] = []  # the frames since the keyframe, if stationary since
         policy.set_reference(observations)
 
@@ -209,7 +218,7 @@ def _settled_and_recent(stationary: Sequence[FramePacket]) -> tuple[list[FramePa
     return settled, list(stationary[len(settled) :])
 
 
-def _velocity_may_be_zero(state: NavState) -> bool:
+def velocity_may_be_zero(state: NavState) -> bool:
     """Return whether zero velocity is consistent with a state and its covariance."""
     if state.covariance is None:
         return True

@@ -1,0 +1,176 @@
+"""The rotation between frames by the images alone: epipolar geometry of the tracked features, without the gyroscope.
+
+The normals of the epipolar planes of two views, f₁ × R f₂ of the bearings f, are perpendicular to the translation
+between them if the rotation R is right (Kneip and Lynen, "Direct optimization of frame-to-frame rotation", ICCV 2013).
+R and the direction of the translation are refined by Gauss-Newton from the rotation that aligns the bearings best.
+Features that disagree, such as those on moving objects, have nearly no weight.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.frontend.rig import RigTracker
+from dronevio.estimator.frontend.tracker import TrackerConfig
+from dronevio.estimator.types import Calibration, Integers, Observations, common_rows
+from dronevio.models.imu import Times
+from dronevio.models.rig import Rig
+from dronevio.models.rotation import exp_so3, log_so3
+from dronevio.models.state import CameraFrame
+
+Array = npt.NDArray[np.float64]
+
+MIN_SPAN_S = 0.04
+"""Shortest time between the frames of a pair [s]: over shorter ones, the noise of the image exceeds slow rotations."""
+MAX_SPAN_S = 0.4
+"""Longest time between the frames of a pair [s]; offsets that are shorter cannot be told over longer ones."""
+MIN_FEATURES = 15
+"""Smallest number of common features of a pair."""
+MIN_TRACKED = 150
+"""Number of features below which new ones are detected, where images are tracked for their rotation alone."""
+UNKNOWN_SIGMA_RAD = 0.1
+"""Standard deviation of the rotation between frames where no gyroscope predicts it [rad]."""
+ITERATIONS = 12
+"""Number of Gauss-Newton steps."""
+MAX_STEP_RAD = 0.05
+"""Largest rotation of one step [rad]."""
+_MIN_SCALE_RAD = 1e-4  # least scale of the residuals: a twentieth of a pixel of EuRoC's cameras
+
+
+@dataclass(frozen=True, eq=False)
+class RelativeRotations:
+    """The rotations of the IMU between P pairs of frames, as the images show them."""
+
+    start_ns: Times
+    """(P,) Times of the first frames, by the clock of the camera [ns]."""
+    end_ns: Times
+    """(P,) Times of the second frames [ns]."""
+    rotation_rad: Array
+    """(P, 3) Rotation vectors of R_start_end of the IMU [rad]."""
+    sigma_rad: Array
+    """(P,) Standard deviations of the rotations, about the worst axis [rad]."""
+
+    def __len__(self) -> int:
+        return len(self.start_ns)
+
+    def __getitem__(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.int64]) -> "RelativeRotations":
+        """Return some of the pairs."""
+        return RelativeRotations(self.start_ns[rows], self.end_ns[rows], self.rotation_rad[rows], self.sigma_rad[rows])
+
+    def joined(self, later: "RelativeRotations") -> "RelativeRotations":
+        """Return these pairs followed by others."""
+        return RelativeRotations(
+            np.concatenate([self.start_ns, later.start_ns]),
+            np.concatenate([self.end_ns, later.end_ns]),
+            np.concatenate([self.rotation_rad, later.rotation_rad]),
+            np.concatenate([self.sigma_rad, later.sigma_rad]),
+        )
+
+    @property
+    def span_s(self) -> Array:
+        """(P,) Times between the frames of each pair [s]."""
+        return np.asarray((self.end_ns - self.start_ns) * 1e-9)
+
+
+NO_ROTATIONS = RelativeRotations(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))
+"""The rotations of no pairs."""
+
+
+def image_rotations(t_ns: Sequence[int], observations: Sequence[Observations], Ts_imu_cam: Array) -> RelativeRotations:
+    """Return the rotations between successive frames by the features that both observe.
+
+    Frames that follow each other within less than `MIN_SPAN_S` are left out. Each camera that tracks features makes
+    pairs of its own.
+
+    Args:
+        t_ns: Times of M frames [ns], increasing.
+        observations: Their M sets of features, with normalized coordinates.
+        Ts_imu_cam: (C, 4, 4) Poses of the cameras in the IMU frame.
+    """
+    pairs: list[tuple[int, int, Array, float]] = []
+    for camera in range(len(Ts_imu_cam)):
+        R_imu_cam = Ts_imu_cam[camera, :3, :3]
+        last: tuple[int, Integers, Array] | None = None
+        for now_ns, seen in zip(t_ns, observations, strict=True):
+            mine = seen.camera == camera
+            if not mine.any() or (last is not None and now_ns - last[0] < MIN_SPAN_S * 1e9):
+                continue
+            ids, xy = seen.ids[mine], seen.xy[mine]
+            if last is not None and now_ns - last[0] <= MAX_SPAN_S * 1e9:
+                first, second = common_rows(last[1], ids)
+                if len(first) >= MIN_FEATURES:
+                    R, sigma_rad = relative_rotation(last[2][first], xy[second])
+                    pairs.append((last[0], now_ns, R_imu_cam @ R, sigma_rad))
+            last = now_ns, ids, xy
+    if not pairs:
+        return NO_ROTATIONS
+    start_ns, end_ns, rotations, sigmas = zip(*pairs, strict=True)
+    return RelativeRotations(np.array(start_ns), np.array(end_ns), np.array(rotations), np.array(sigmas))
+
+
+def tracked_rotations(frames: Iterable[CameraFrame], rig: Rig) -> RelativeRotations:
+    """Return the rotations between the frames of a recording, tracked without an IMU.
+
+    Args:
+        frames: Successive frames, with images of all cameras of the rig.
+        rig: Calibration of the cameras; the IMU is not used.
+    """
+    tracker, calibration = RigTracker(rig, TrackerConfig()), Calibration(rig)
+    t_ns: list[int] = []
+    seen: list[Observations] = []
+    for frame in frames:
+        observations = tracker.track(frame, np.eye(3), UNKNOWN_SIGMA_RAD)
+        if len(observations) < MIN_TRACKED:
+            observations = tracker.replenish()
+        t_ns.append(frame.t_ns)
+        seen.append(observations)
+    return image_rotations(t_ns, seen, calibration.Ts_imu_cam)
+
+
+def relative_rotation(xy_first: Array, xy_second: Array) -> tuple[Array, float]:
+    """Return the rotation vector (3,) of R_first_second of a camera, and its standard deviation [rad].
+
+    Args:
+        xy_first: (N, 2) Normalized coordinates of features in the first view, at least five.
+        xy_second: (N, 2) Those in the second.
+    """
+    first, second = _bearings(xy_first), _bearings(xy_second)
+    R = _aligning(first, second)
+    weights, t, H, scale = np.ones(len(first)), np.zeros(3), np.eye(5), 1.0
+    for _ in range(ITERATIONS):
+        turned = second @ R.T
+        normals = np.cross(first, turned)
+        _, axes = np.linalg.eigh((weights[:, None] * normals).T @ normals)
+        t, tangents = axes[:, 0], axes[:, 1:]
+        residual = normals @ t
+        # By a rotation of the second view, n = f × Exp(δ) R g: ∂(t·n)/∂δ = −(t × f) × R g
+        by_rotation = -np.cross(np.cross(t, first), turned)
+        J = np.column_stack([by_rotation, normals @ tangents])
+        scale = max(1.4826 * float(np.median(np.abs(residual))), _MIN_SCALE_RAD)
+        weights = 1.0 / (1.0 + (residual / (2.0 * scale)) ** 2) ** 2
+        H = (weights[:, None] * J).T @ J + 1e-9 * np.eye(5)
+        step = -np.linalg.solve(H, J.T @ (weights * residual))
+        length = float(np.linalg.norm(step[:3]))
+        R = exp_so3(step[:3] * min(1.0, MAX_STEP_RAD / max(length, 1e-12))) @ R
+        if length < 1e-6:
+            break
+    covariance = scale**2 * np.linalg.inv(H)[:3, :3]
+    return np.asarray(log_so3(R)), float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+
+
+def _aligning(first: Array, second: Array) -> Array:
+    """Return the rotation (3, 3) that aligns bearings (N, 3) with others best; those that differ have little weight."""
+    R, weights = np.eye(3), np.ones(len(first))
+    for _ in range(3):
+        U, _, Vt = np.linalg.svd((weights[:, None] * first).T @ second)
+        R = U @ np.diag([1.0, 1.0, float(np.linalg.det(U @ Vt))]) @ Vt
+        error = np.linalg.norm(first - second @ R.T, axis=1)
+        weights = 1.0 / (1.0 + (error / max(2.0 * float(np.median(error)), _MIN_SCALE_RAD)) ** 2)
+    return R
+
+
+def _bearings(xy: Array) -> Array:
+    rays = np.column_stack([xy, np.ones(len(xy))])
+    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
