@@ -47,7 +47,8 @@ class RecordingOptions(Settings):
     ADIS16448, BMI088, MPU-6050 or tactical."""
     imu_rotation: str | None = None
     """Axes of the IMU of a video along x (right), y (down) and z (forward) of the camera, where a small letter is the
-    opposite direction: yxz for GoPro cameras, which is the default. It replaces the pose of the calibration."""
+    opposite direction: yxz for GoPro cameras, which is the default. With estimate, the rotation of the images against
+    the gyroscope tells them. It replaces the pose of the calibration."""
     topics: BagTopics = field(default_factory=BagTopics)
     """Topics of a bag that has several of one type."""
 
@@ -69,7 +70,15 @@ class RecordingOptions(Settings):
             from dronevio.models.imu_presets import imu_named
 
             imu = imu_named(self.imu)
-        recording = open_recording(path, self.cameras, self.calibration, self.topics, repair, imu, self.imu_rotation)
+        is_estimated = self.imu_rotation == "estimate"
+        axes = "XYZ" if is_estimated else self.imu_rotation
+        recording = open_recording(path, self.cameras, self.calibration, self.topics, repair, imu, axes)
+        if is_estimated:
+            from dronevio.imu_rotation import with_estimated_rotation
+            from dronevio.models.recordings.gopro import VideoRecording
+
+            assert isinstance(recording, VideoRecording)  # others refuse the option
+            recording = with_estimated_rotation(recording)
         found = len(recording.rig.cameras)
         if self.cameras is not None and found < self.cameras:
             raise ConfigError(f"--cameras {self.cameras}: {path} has {found}; expected {found} or fewer")
