@@ -142,15 +142,16 @@ def read_video_index(path: Path) -> VideoIndex:
 class VideoFrames:
     """Frames of a video; the object is called with the index of a frame. Several threads may call it."""
 
-    def __init__(self, path: Path, index: VideoIndex, pts: Indices) -> None:
+    def __init__(self, path: Path, index: VideoIndex, pts: Indices, is_grey: bool = False) -> None:
         """Take the frames to read.
 
         Args:
             path: The video.
             index: Its size and time stamps.
             pts: (I,) Presentation time stamps of the frames to read, increasing.
+            is_grey: Whether images are grey, also those in colour.
         """
-        self._path, self._index, self._pts = path, index, pts
+        self._path, self._index, self._pts, self._is_grey = path, index, pts, is_grey
         self._lock = threading.Lock()
         self._decoded: OrderedDict[int, Image] = OrderedDict()
         self._following: Iterator[VideoFrame] = iter(())
@@ -218,7 +219,7 @@ class VideoFrames:
                 f"a frame of {frame.width} × {frame.height} px",
                 f"{self._index.width} × {self._index.height} px as in the first frame",
             )
-        is_grey = frame.format.name.startswith("gray")
+        is_grey = self._is_grey or frame.format.name.startswith("gray")
         return np.asarray(frame.to_ndarray(format="gray" if is_grey else "rgb24"), dtype=np.uint8)
 
 

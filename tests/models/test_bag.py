@@ -548,7 +548,7 @@ def set_no_gyro(message: Any) -> None:
         (changed(set_no_gyro, "/imu/data"), None, "without angular velocity"),
         (changed(lambda m: m.k.fill(0.0), "/camera1/camera_info"), None, "/camera1/camera_info: CameraModel.fx = 0.0"),
         (changed(lambda m: setattr(m, "distortion_model", "magic"), "/camera1/camera_info"), None, "'magic'"),
-        (changed(lambda m: setattr(m, "d", np.ones(5)), "/camera1/camera_info"), None, "followed by zeros"),
+        (changed(lambda m: setattr(m, "d", np.ones(12)), "/camera1/camera_info"), None, "followed by zeros"),
         (changed(lambda m: setattr(m.transforms[1].transform.rotation, "w", 9.0), "/tf_static"), None, "of length 9"),
     ],
 )

@@ -16,10 +16,11 @@ from rosbags.typesys.stores import ros2_humble as ros
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuModel, ImuSamples, Times
+from dronevio.models.lenses.lens import LENSES
 from dronevio.models.recordings.bag.encodings import ENCODINGS, grey_pixels
 from dronevio.models.recordings.bag.rectification import Rectification
 from dronevio.models.recordings.bit_depth import DeepImage
-from dronevio.models.recordings.calibration.euroc import LENS_NAMES
+from dronevio.models.recordings.calibration.camera_fields import LENS_NAMES
 from dronevio.models.recordings.images import DamagedImageError, decode_deep_grey, encode_png
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import inverse_pose, log_so3, quat_wxyz_from_matrix
@@ -37,7 +38,8 @@ WORLD, VEHICLE, IMU, CAMERA = "world", "base_link", "imu0", "cam{}"
 LAST_NS = 2**31 * 10**9
 """Upper limit of time stamps in ROS, whose seconds have 31 bits [ns]."""
 
-_ROS_LENSES = {"radtan": "plumb_bob", "equidistant": "equidistant"}
+_ROS_LENSES = {**LENS_NAMES, "": "radtan", "fisheye": "equidistant"}
+_LENGTHS = {0, 4, 5, 8}  # of the coefficients, which zeros may follow
 _UNKNOWN = -1.0  # in the first element of a covariance, for missing data (sensor_msgs/Imu)
 
 
@@ -167,18 +169,23 @@ def camera_info(
 ) -> ros.sensor_msgs__msg__CameraInfo:
     """Return the intrinsics of a camera as a message, which has no field for the readout time.
 
+    ROS has names for ``radtan`` (``plumb_bob``, with eight coefficients ``rational_polynomial``) and ``equidistant``
+    only; the others have ours, which programs of ROS do not know.
+
     Args:
         model: The camera.
         t_ns: Time stamp [ns].
         frame: Frame of reference.
         rectification: Rotation and projection of the rectified camera; those of the camera itself by default.
     """
-    k = [*model.distortion, 0.0] if model.lens == "radtan" else model.distortion  # plumb_bob has k3
+    name, k = str(model.lens), list(model.distortion)
+    if model.lens == "radtan":
+        name, k = ("rational_polynomial", k) if len(k) == 8 else ("plumb_bob", [*k, 0.0][:5])  # plumb_bob has k3
     return ros.sensor_msgs__msg__CameraInfo(
         header=header(t_ns, frame),
         height=model.height,
         width=model.width,
-        distortion_model=_ROS_LENSES[model.lens],
+        distortion_model=name,
         d=np.array(k),
         k=model.K.ravel(),
         r=(rectification.R if rectification else np.eye(3)).ravel(),
@@ -201,17 +208,19 @@ def camera_model(path: Path, topic: str, info: ros.sensor_msgs__msg__CameraInfo)
         InputError: The lens model is not supported, or the camera is not calibrated.
     """
     d = tuple(float(value) for value in info.d)
-    name = {"": "plumb_bob", "fisheye": "equidistant", "rational_polynomial": "plumb_bob"}.get(
-        info.distortion_model, info.distortion_model
-    )
-    if name not in LENS_NAMES:
-        raise InputError(path, f"{topic}: distortion_model {info.distortion_model!r}", "plumb_bob or equidistant")
-    if any(d[4:]) or len(d) not in (0, 4, 5, 8):
-        raise InputError(path, f"{topic}: distortion coefficients {list(d)}", "four, followed by zeros")
+    name = _ROS_LENSES.get(info.distortion_model, info.distortion_model)
+    if name not in LENSES:
+        expected = "plumb_bob, rational_polynomial or equidistant"
+        raise InputError(path, f"{topic}: distortion_model {info.distortion_model!r}", expected)
+    counts = LENSES[name].COUNTS
+    if any(d[counts[-1] :]) or len(d) not in _LENGTHS.union(counts):
+        found = f"{topic}: distortion coefficients {list(d)}"
+        raise InputError(path, found, f"{' or '.join(map(str, counts))}, possibly followed by zeros")
+    count = next(count for count in counts if not any(d[count:]))
+    k = (*d[:count], *(count - len(d)) * (0.0,))
     fx, fy, cx, cy = (float(info.k[i]) for i in (0, 4, 2, 5))
-    k = (*d[:4], 0.0, 0.0, 0.0, 0.0)
     try:
-        return CameraModel(info.width, info.height, fx, fy, cx, cy, (k[0], k[1], k[2], k[3]), LENS_NAMES[name])
+        return CameraModel(info.width, info.height, fx, fy, cx, cy, k, name)
     except ConfigError as error:
         raise InputError(path, f"{topic}: {str(error).partition('; ')[0]}", "a calibrated camera") from None
 
