@@ -117,7 +117,7 @@ class StereoMatcher:
         bearings = bearings @ exp_so3(self._rotation_correction(xy[rows], bearings)).T
         epipolar_error, depth = self._geometry(xy[rows], bearings)
         with np.errstate(invalid="ignore"):  # pixels outside the lens model have NaN bearings and are rejected
-            pixel = 1.0 / self._second.fx
+            pixel = 1.0 / self._second.central_focal_px[0]
             half_pixel_m = 0.5 * pixel / max(float(np.linalg.norm(self._t)), 1e-6)
             valid = np.abs(epipolar_error) < self._config.max_epipolar_error_px * pixel
             valid &= ((depth > -half_pixel_m) & (depth < 1.0 / self._config.min_depth_m)) | self.is_miscalibrated
@@ -168,7 +168,7 @@ class StereoMatcher:
         perpendicular to baseline and optical axis is hardly observable from epipolar distances; the prior keeps it
         close to zero.
         """
-        c, pixel, zero = self._config, 1.0 / self._second.fx, np.zeros(3)
+        c, pixel, zero = self._config, 1.0 / self._second.central_focal_px[0], np.zeros(3)
         finite = np.isfinite(bearings).all(axis=1)
         bearings = bearings[finite]
         normals = self._normals(np.column_stack([xy[finite], np.ones(len(bearings))]) @ self._R.T)

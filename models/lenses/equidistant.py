@@ -37,6 +37,11 @@ def valid_limit(coefficients: Coefficients) -> float:
     return float(min(1.0 / np.sqrt(nearest), np.pi)) if nearest > 0.0 else float(np.pi)
 
 
+def central_scale(coefficients: Coefficients) -> float:
+    """Return 1: near the axis, the image has the scale of the focal length."""
+    return 1.0
+
+
 def project(p_cam: Array, coefficients: Coefficients) -> Array:
     """Return image coordinates (…, 2), in focal lengths, of points (…, 3) in the camera frame.
 

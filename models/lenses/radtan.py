@@ -62,6 +62,11 @@ def valid_limit(coefficients: Coefficients) -> float:
     return float(1.0 / nearest) if nearest > 0.0 else np.inf
 
 
+def central_scale(coefficients: Coefficients) -> float:
+    """Return 1: near the axis, the image has the scale of the focal length."""
+    return 1.0
+
+
 def project(p_cam: Array, coefficients: Coefficients) -> Array:
     """Return image coordinates (…, 2), in focal lengths, of points (…, 3) in the camera frame.
 
