@@ -57,7 +57,7 @@ class CommonScale:
 
     def __init__(self, first: CameraModel, second: CameraModel) -> None:
         """Choose the scale of the camera with the smaller focal length."""
-        ratio = second.fx / first.fx
+        ratio = second.central_focal_px[0] / first.central_focal_px[0]
         alike = MIN_RATIO < ratio < 1.0 / MIN_RATIO
         self.first = ReducedImage.of(first, 1.0 if alike else min(ratio, 1.0))
         """Reduction of the images of the first camera."""

@@ -208,5 +208,5 @@ def _space(kind: ImageKind, settings: ImageSettings) -> spaces.Box:
 
 def texture_reduction(camera: CameraModel) -> int:
     """Return the factor by which textures can be smaller for a camera, which sees them from one metre or more."""
-    rendered_px_per_m = _SUPERSAMPLING * max(camera.fx, camera.fy) / _SHARP_FROM_M
+    rendered_px_per_m = _SUPERSAMPLING * max(camera.central_focal_px) / _SHARP_FROM_M
     return next((factor for factor in _REDUCTIONS if rendered_px_per_m * factor <= PIXELS_PER_M), 1)
