@@ -52,15 +52,27 @@ class Flow:
         return float(np.median(moved)) if len(moved) else float("nan")
 
 
-def flow_between(first: Image, second: Image, t_ns: tuple[int, int], model: CameraModel) -> Flow:
-    """Return the matches between two images (H, W) of a camera at two times [ns]."""
+def flow_between(
+    first: Image, second: Image, t_ns: tuple[int, int], model: CameraModel, other: CameraModel | None = None
+) -> Flow:
+    """Return the matches between two images (H, W).
+
+    Args:
+        first: Image in which corners are detected.
+        second: Image in which they are searched.
+        t_ns: Times of the two images [ns].
+        model: Camera of the first image.
+        other: Camera of the second image, if it is another one.
+    """
     cell = max(44, round((first.size / FEATURES) ** 0.5))
     corners = detect_corners(first, 1.0, np.zeros((0, 2)), BORDER_PX, CornerConfig(cell_px=min(cell, 500)))
+    if first.shape != second.shape:  # OpenCV tracks between images of one size
+        return Flow(t_ns, len(corners), (np.zeros((0, 2)),) * 2, (np.zeros((0, 3)),) * 2)
     source = klt.match_brightness(first, second)
     matched, found = klt.track(source, second, corners, corners, WINDOW_PX, LEVELS)
     back, returned = klt.track(second, source, matched, corners, WINDOW_PX, 0)
     found &= returned & (np.linalg.norm(back - corners, axis=1) < MAX_BACKWARD_PX)
-    f0, f1 = model.unproject(corners), model.unproject(matched)
+    f0, f1 = model.unproject(corners), (other or model).unproject(matched)
     found &= (f0[:, 2] > MIN_FORWARD) & (f1[:, 2] > MIN_FORWARD)
     return Flow(t_ns, len(corners), (corners[found], matched[found]), (f0[found], f1[found]))
 

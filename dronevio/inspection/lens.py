@@ -7,7 +7,7 @@ For a calibrated lens, that is s = 1 and k = 0. The two also say what is wrong: 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -36,11 +36,9 @@ class LensCheck:
     cubic: float
     """k: change of the factor with the squared angle [1/rad²]."""
     change_px: float
-    """Root mean square displacement of features between the lens and the changed one, without a common shift [px]."""
-    residual_px: float
-    """Typical epipolar error with the lens as it is calibrated [px]."""
-    best_px: float
-    """Typical epipolar error with the changed lens [px]."""
+    """Root mean square displacement of features between the lens and the changed one [px]."""
+    cost_ratio: float
+    """Cost of the lens as it is calibrated, relative to that of the changed one."""
     pairs: int
     """Number of pairs of images."""
 
@@ -75,14 +73,14 @@ def check_lens(flows: Sequence[Flow], rotations: Array, pixel_rad: float) -> Len
             steps = 0.5 * steps
     theta = np.arccos(np.clip(pairs.f0[:, 2], -1.0, 1.0))
     change = theta * (scale * (1.0 + cubic * theta**2) - 1.0) / pixel_rad
-    return LensCheck(
-        scale,
-        cubic,
-        float(np.sqrt(np.mean(change**2))),
-        pairs.typical(1.0, 0.0, pixel_rad) / pixel_rad,
-        pairs.typical(scale, cubic, pixel_rad) / pixel_rad,
-        len(pairs.start),
-    )
+    ratio = cost(1.0, 0.0) / max(best, 1e-12)
+    return LensCheck(float(scale), float(cubic), float(np.sqrt(np.mean(change**2))), ratio, len(pairs.start))
+
+
+def changed_flow(flow: Flow, lens: LensCheck) -> Flow:
+    """Return matches with the bearings of a changed lens."""
+    f0, f1 = (_changed(f, lens.scale, lens.cubic) for f in flow.bearings)
+    return replace(flow, bearings=(f0, f1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,10 +120,6 @@ class _Pairs:
     def cost(self, scale: float, cubic: float, pixel_rad: float) -> float:
         """Return the mean of Cauchy's loss of the errors, relative to the angle of a pixel."""
         return float(np.mean(np.log1p((self.errors(scale, cubic, pixel_rad) / pixel_rad / scale) ** 2)))
-
-    def typical(self, scale: float, cubic: float, pixel_rad: float) -> float:
-        """Return the median error [rad]."""
-        return float(np.median(self.errors(scale, cubic, pixel_rad)))
 
 
 def _changed(f: Array, scale: float, cubic: float) -> Array:

@@ -90,8 +90,6 @@ class Relation:
     """(3,) Mean difference in the frame of the second sensor: its bias [rad/s]."""
     agreement: float
     """Share of the variance of the first rate that the second explains, at most 1."""
-    agreement_reversed: float
-    """The largest share at any offset with the first measurement played backwards."""
     proper_ratio: float
     """Residual of the best reflection relative to that of the best rotation: below 1 if axes are reflected."""
     rotation_sigma_rad: float
@@ -106,6 +104,11 @@ class Relation:
     """(S,) Share of the variance that is explained at each offset."""
     weights: Array
     """(P,) Weight of each interval, near 0 for outliers."""
+
+    def predicted(self, gyroscope: Gyroscope, intervals: Rotations, offset_s: float | None = None) -> Array:
+        """Return the rates (P, 3) of the first sensor by the gyroscope, at the offset of the relation or another."""
+        rates = gyroscope.rates(intervals, self.offset_s if offset_s is None else offset_s)
+        return np.asarray(self.scale * (rates - self.bias_rad_s) @ self.Q.T)
 
     @property
     def is_reflected(self) -> bool:
@@ -133,13 +136,11 @@ def relate(first: Rotations, gyroscope: Gyroscope, search_s: float = SEARCH_S) -
             return None
         offset = _refined(first, gyroscope, float(offsets[np.nanargmax(curve)]), weights)
         weights = _weights(first.rate_rad_s, gyroscope.rates(first, offset))
-    backwards = _reversed(first)
-    agreement_reversed = np.array([_explained(backwards, gyroscope, o, weights[::-1]) for o in offsets[::2]])
-    return _relation(first, gyroscope, offset, weights, offsets, curve, float(np.nanmax(agreement_reversed, initial=0.0)))
+    return _relation(first, gyroscope, offset, weights, offsets, curve)
 
 
 def _relation(
-    first: Rotations, gyroscope: Gyroscope, offset: float, weights: Array, offsets: Array, curve: Array, backwards: float
+    first: Rotations, gyroscope: Gyroscope, offset: float, weights: Array, offsets: Array, curve: Array
 ) -> Relation:
     """Return the relation at the best offset."""
     second = gyroscope.rates(first, offset)
@@ -161,7 +162,6 @@ def _relation(
         scale=scale,
         bias_rad_s=mean_b - Q.T @ mean_a / scale,
         agreement=1.0 - residual / max(float(w @ (a * a).sum(axis=1)), 1e-300),
-        agreement_reversed=backwards,
         proper_ratio=improper / max(proper, 1e-300),
         rotation_sigma_rad=noise / np.sqrt(least) if least > 0.0 else float("inf"),
         excitation_rad_s=float(np.sqrt(w @ (b * b).sum(axis=1) / w.sum())),
@@ -232,7 +232,7 @@ def _offset_sigma_s(first: Rotations, gyroscope: Gyroscope, offset_s: float, wei
     return noise / np.sqrt(total) if total > 0.0 else float("inf")
 
 
-def _reversed(first: Rotations) -> Rotations:
+def played_backwards(first: Rotations) -> Rotations:
     """Return the rotations of the same images in reverse order, at the time stamps of the frames."""
     ends = first.start_ns[0] + first.end_ns[-1]
     return Rotations(ends - first.end_ns[::-1], ends - first.start_ns[::-1], -first.rate_rad_s[::-1])
