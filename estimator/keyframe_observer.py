@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.types import Calibration, Integers, Observations
-from dronevio.models.state import NavState
+from dronevio.models.state import CameraFrame, NavState
 
 Array = npt.NDArray[np.float64]
 
@@ -36,6 +36,8 @@ class OdometryKeyframe:
     """(L,) Identities of the triangulated landmarks that the keyframe observes, in increasing order."""
     landmarks_odom: Array
     """(L, 3) Their positions in the odometry frame [m], as the window knows them now."""
+    frame: CameraFrame | None = None
+    """The frame of the keyframe; None if that is an earlier one."""
 
 
 class KeyframeObserver(Protocol):

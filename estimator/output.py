@@ -44,6 +44,10 @@ class Publisher:
         """Whether an event has stated a cause that prevented an initialization."""
         return bool(self._stated_causes)
 
+    def withdraw_causes(self) -> None:
+        """Forget the causes that have been stated, because another one has been found and removed."""
+        self._cause, self._stated_causes = ("", 0), frozenset()
+
     def estimate(
         self,
         packet: FramePacket,

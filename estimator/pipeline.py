@@ -96,6 +96,10 @@ class MeasurementPipeline:
         """(3,) Angular velocity of the IMU at the newest frame, bias removed [rad/s]."""
         return self._exposure.angular_velocity_rad_s
 
+    def since_frame(self, span_s: float) -> Increments:
+        """Return the IMU increments of a time after the newest frame [s]; where samples are missing, one is held."""
+        return self._buffer.ahead(span_s, held=True)
+
     def at_stamp(self, estimate: Estimate, frame: CameraFrame) -> Estimate:
         """Return the estimate of the newest frame at the frame's time stamp, by the clock of the cameras."""
         return self._exposure.at_stamp(estimate, frame.t_ns)

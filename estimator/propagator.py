@@ -124,6 +124,15 @@ class ImuPropagation:
         return NavState(t_ns, end.pose().matrix(), end.velocity(), start.gyro_bias_rad_s, start.accel_bias_m_s2)
 
 
+def propagated(state: NavState, increments: Increments, params: PreintegrationParams, imu: ImuModel) -> NavState:
+    """Return a state with its covariance, propagated by IMU increments that begin at its time."""
+    nav = gtsam.NavState(gtsam.Pose3(state.T_world_imu), state.velocity_m_s)
+    bias = gtsam.imuBias.ConstantBias(state.accel_bias_m_s2, state.gyro_bias_rad_s)
+    propagation = ImuPropagation(params, imu, state, (nav, bias))
+    propagation.add(increments)
+    return propagation.state_at(state.t_ns + round(increments.duration_s * 1e9))
+
+
 class Propagator:
     """The interval from the newest keyframe to the next: prediction, stationarity, and when it ends."""
 

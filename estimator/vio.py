@@ -13,10 +13,13 @@ import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframes import KeyframePolicy
 from dronevio.estimator.backend.smoother import Keyframe, KeyframeResult, KeyframeSmoother
+from dronevio.estimator.calibration.offset_search import OffsetSearch
 from dronevio.estimator.calibration.online import OnlineCalibration
+from dronevio.estimator.calibration.rotation_offset import RotationOffset
 from dronevio.estimator.calibration.unverified import unverified_covariance
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.protocol import FrontEnd
+from dronevio.estimator.frame_queue import FrameQueue
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.health import INCONSISTENT, HealthMonitor
 from dronevio.estimator.image_connection import ImageConnection
@@ -30,7 +33,7 @@ from dronevio.estimator.initialization.zero_velocity import ZeroVelocityDetector
 from dronevio.estimator.keyframe_observer import KeyframeObserver, OdometryKeyframe
 from dronevio.estimator.output import Publisher
 from dronevio.estimator.pipeline import MeasurementPipeline
-from dronevio.estimator.propagator import Propagator
+from dronevio.estimator.propagator import Propagator, propagated
 from dronevio.estimator.saturated_rotation import ITERATIONS, missing_rotation, saturated_sigma_rad, with_rotation
 from dronevio.estimator.stamp_error import StampCorrection
 from dronevio.estimator.types import Calibration, FramePacket, Observations
@@ -42,6 +45,12 @@ from dronevio.models.state import CameraFrame, Estimate, Health, HealthReport, N
 Array = npt.NDArray[np.float64]
 
 
+TIME_OFFSET_FOUND = "time offset of camera and IMU estimated from their rotation:"
+"""Beginning of the event at which another time offset is adopted."""
+WRONG_TIME_OFFSET = "the time offset of camera and IMU is another one"
+"""Reason of a loss at which another time offset is adopted."""
+MAX_EXTRAPOLATION_S = 0.01
+"""Longest time over which a state is extrapolated without its covariance [s]: the error of third order is .01 mm."""
 REPEATED_IMAGES = "the image does not change although the vehicle rotates: not used"
 """Event at the first of several equal images."""
 
@@ -106,7 +115,7 @@ class VisualInertialOdometry:
         """
         check_rig(rig)
         self._config = c = config or VioConfig()
-        self._imu, self._noise = rig.imu, ImuNoiseEstimator(rig.imu, c.preintegration, c.noise, c.gravity_m_s2)
+        self._rig, self._imu, self._noise = rig, rig.imu, ImuNoiseEstimator(rig.imu, c.preintegration, c.noise, c.gravity_m_s2)
         self._online_calibration = OnlineCalibration(rig, c.calibration, c.gravity_m_s2)
         self._pipeline = MeasurementPipeline(rig.imu, front_end or RigTracker(rig, c.tracker), c.gravity_m_s2)
         self._stamps = StampCorrection(rig.cameras[0].rate_hz, c.stamps)
@@ -116,6 +125,8 @@ class VisualInertialOdometry:
         self._imu_rate = ImuRatePropagator(rig.imu, c.preintegration, c.gravity_m_s2)
         self._observer = observer
         self._connection = ImageConnection()
+        self._queue, self._offset_search = FrameQueue(), OffsetSearch()
+        self._estimate: Estimate | None = None  # of the last processed frame, at its time by the clock of the IMU
         self._newest_ns = 0  # time of the newest frame by the clock of the IMU
         self._origin = WorldOrigin(
             c.initialization.gyro_bias_sigma_rad_s, c.initialization.dynamic.accel_bias_sigma_m_s2
@@ -150,10 +161,27 @@ class VisualInertialOdometry:
         Raises:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
         """
+        estimates = [self._process(due) for due in self._queue.add(frame)]
+        events = tuple(event for estimate in estimates for event in estimate.events)
+        newest = estimates[-1] if estimates else self._estimate
+        assert newest is not None  # the first frame is processed at once
+        self._estimate = newest
+        estimate = self._at_stamp(replace(newest, events=events), frame)
+        if estimate.state is not None:
+            self._imu_rate.correct(estimate)
+        return estimate
+
+    @property
+    def time_offset_s(self) -> float:
+        """The time offset of camera and IMU in use, t_imu = t_cam + offset [s]."""
+        return self._calibration.rig.time_offset_s + self._calibration.time_offset_correction_s
+
+    def _process(self, frame: CameraFrame) -> Estimate:
+        """Return the estimate of a frame at its time by the clock of the IMU."""
         repeated = self._pipeline.repeats_image
         delay_s = self._stamps.add_stamp(frame.t_ns)
         packet = self._pipeline.process(frame, self._calibration, *self._gyro_bias, delay_s)
-        self._newest_ns = packet.t_ns
+        self._frame, self._newest_ns = frame, packet.t_ns
         features = packet.observations if packet.has_image else None
         self._zero_velocity.update(packet.t_ns, features, packet.increments)
         self._gauge = self._gauge.propagated(packet.increments)
@@ -163,12 +191,48 @@ class VisualInertialOdometry:
             case Tracking():
                 estimate = self._track(self._state, packet)
         self._connection.end_frame(packet.observations)
-        estimate = self._pipeline.at_stamp(estimate, frame)
+        self._offset_search.add(packet)
+        if self._is_doubtful:
+            offset = self._offset_search.offset(self._calibration.Ts_imu_cam)
+            estimate = estimate if offset is None else self._adopted(offset, packet, estimate)
         if self._pipeline.repeats_image and not repeated:
             estimate = replace(estimate, events=(*estimate.events, REPEATED_IMAGES))
-        if estimate.state is not None:
-            self._imu_rate.correct(estimate)
         return estimate
+
+    def _at_stamp(self, estimate: Estimate, frame: CameraFrame) -> Estimate:
+        """Return the estimate of the last processed frame at the time stamp of the newest one."""
+        state, later_s = estimate.state, (frame.t_ns - estimate.t_ns) * 1e-9
+        if state is None or later_s <= MAX_EXTRAPOLATION_S:
+            return self._pipeline.at_stamp(estimate, frame)
+        state = propagated(state, self._pipeline.since_frame(later_s), self._noise.params, self._imu)
+        return replace(estimate, t_ns=frame.t_ns, state=replace(state, t_ns=frame.t_ns))
+
+    @property
+    def _is_doubtful(self) -> bool:
+        """Whether images and IMU contradict each other."""
+        match self._state:
+            case Initializing():
+                return self._state.initializer.is_contradicted
+            case Tracking():
+                return not self._state.monitor.is_trusted
+
+    def _adopted(self, found: RotationOffset, packet: FramePacket, estimate: Estimate) -> Estimate:
+        """Begin anew with another time offset of camera and IMU, and return the estimate of the frame with an event."""
+        before_s, sigma_s = self.time_offset_s, found.sigma_s
+        offset_s = before_s + found.offset_s
+        event = f"{TIME_OFFSET_FOUND} {1e3 * offset_s:+.1f} ms instead of {1e3 * before_s:+.1f} ms (σ {1e3 * sigma_s:.1f} ms)"
+        if isinstance(self._state, Tracking):
+            report = estimate.health_report or HealthReport(Health.LOST, "")
+            estimate = self._lose(self._state, packet, replace(report, health=Health.LOST, reason=WRONG_TIME_OFFSET))
+        c, rig = self._config, replace(self._rig, time_offset_s=offset_s)
+        self._online_calibration = OnlineCalibration(rig, c.calibration, c.gravity_m_s2)
+        self._noise.set_gravity(c.gravity_m_s2)
+        self._imu_rate.set_gravity(c.gravity_m_s2)
+        self._queue.shift(offset_s - self._rig.time_offset_s, self._frame.t_ns)
+        self._offset_search, self._restart = OffsetSearch(), None
+        self._publisher.withdraw_causes()
+        self._state = Initializing(self._initializer(is_trusted=False), is_trusted=True)
+        return replace(estimate, events=(*estimate.events, event))
 
     def _initialize(self, state: Initializing, packet: FramePacket) -> Estimate:
         """Initialize the estimate if it is observable."""
@@ -298,6 +362,7 @@ class VisualInertialOdometry:
                 smoother.keyframe_times_ns,
                 ids,
                 landmarks.points[rows],
+                self._frame if packet.t_ns == self._newest_ns else None,
             )
         )
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.frontend.tracker import TrackerConfig
-from dronevio.estimator.types import Calibration, Observations, common_rows
+from dronevio.estimator.types import Calibration, Integers, Observations, common_rows
 from dronevio.models.imu import Times
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, log_so3
@@ -59,6 +59,15 @@ class RelativeRotations:
         """Return some of the pairs."""
         return RelativeRotations(self.start_ns[rows], self.end_ns[rows], self.rotation_rad[rows], self.sigma_rad[rows])
 
+    def joined(self, later: "RelativeRotations") -> "RelativeRotations":
+        """Return these pairs followed by others."""
+        return RelativeRotations(
+            np.concatenate([self.start_ns, later.start_ns]),
+            np.concatenate([self.end_ns, later.end_ns]),
+            np.concatenate([self.rotation_rad, later.rotation_rad]),
+            np.concatenate([self.sigma_rad, later.sigma_rad]),
+        )
+
     @property
     def span_s(self) -> Array:
         """(P,) Times between the frames of each pair [s]."""
@@ -82,7 +91,8 @@ def image_rotations(t_ns: Sequence[int], observations: Sequence[Observations], T
     """
     pairs: list[tuple[int, int, Array, float]] = []
     for camera in range(len(Ts_imu_cam)):
-        R_imu_cam, last = Ts_imu_cam[camera, :3, :3], None
+        R_imu_cam = Ts_imu_cam[camera, :3, :3]
+        last: tuple[int, Integers, Array] | None = None
         for now_ns, seen in zip(t_ns, observations, strict=True):
             mine = seen.camera == camera
             if not mine.any() or (last is not None and now_ns - last[0] < MIN_SPAN_S * 1e9):
@@ -96,8 +106,8 @@ def image_rotations(t_ns: Sequence[int], observations: Sequence[Observations], T
             last = now_ns, ids, xy
     if not pairs:
         return NO_ROTATIONS
-    start_ns, end_ns, rotation_rad, sigma_rad = zip(*pairs, strict=True)
-    return RelativeRotations(np.array(start_ns), np.array(end_ns), np.array(rotation_rad), np.array(sigma_rad))
+    start_ns, end_ns, rotations, sigmas = zip(*pairs, strict=True)
+    return RelativeRotations(np.array(start_ns), np.array(end_ns), np.array(rotations), np.array(sigmas))
 
 
 def tracked_rotations(frames: Iterable[CameraFrame], rig: Rig) -> RelativeRotations:
@@ -151,7 +161,7 @@ def relative_rotation(xy_first: Array, xy_second: Array) -> tuple[Array, float]:
 
 
 def _aligning(first: Array, second: Array) -> Array:
-    """Return the rotation (3, 3) that aligns bearings (N, 3) with others best, with little weight of those that differ."""
+    """Return the rotation (3, 3) that aligns bearings (N, 3) with others best; those that differ have little weight."""
     R, weights = np.eye(3), np.ones(len(first))
     for _ in range(3):
         U, _, Vt = np.linalg.svd((weights[:, None] * first).T @ second)

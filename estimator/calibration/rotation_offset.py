@@ -83,7 +83,7 @@ def rotation_offset(measured: RelativeRotations, imu: ImuSamples, max_offset_s: 
         return None
     pairs = measured[usable]
     steps = int(np.ceil(max_offset_s / GRID_S))
-    offsets_s = GRID_S * np.arange(-steps, steps + 1)
+    offsets_s: Array = GRID_S * np.arange(-steps, steps + 1, dtype=np.float64)
     differences = pairs.rotation_rad - gyro.rotations(pairs, offsets_s)  # (D, P, 3)
     costs = _absolute_sum(differences, pairs)
     constant = float(_absolute_sum(pairs.rotation_rad[None], pairs)[0])

@@ -130,14 +130,14 @@ class ImuBuffer:
         self._samples = self._samples[max(after - 1, 0) :]
         return taken
 
-    def ahead(self, span_s: float) -> Increments:
+    def ahead(self, span_s: float, *, held: bool = False) -> Increments:
         """Return the increments of the next ``span_s`` seconds after the end of the last `take_until`, if available.
 
-        They stay in the buffer.
+        They stay in the buffer. Where samples are missing, the last one is held if ``held`` is true.
         """
         if self._samples is None or len(self._samples) == 0 or self._start_ns is None or span_s <= 0.0:
             return NO_INCREMENTS
-        return self._increments(self._samples, self._start_ns + round(span_s * 1e9), held=False)
+        return self._increments(self._samples, self._start_ns + round(span_s * 1e9), held)
 
     def _increments(self, samples: ImuSamples, t_ns: int, held: bool) -> Increments:
         increments = samples.increments()

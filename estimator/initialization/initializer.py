@@ -108,6 +108,11 @@ class Initializer:
         """What is known of the gyroscope bias so far [rad/s]."""
         return self._gyro_bias
 
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether IMU and images contradicted each other at the last attempt."""
+        return bool(self._last_reason.cause)
+
     def needs_features(self, packet: FramePacket) -> bool:
         """Return whether new features should be detected in a frame: if there are few, or at the keyframe interval."""
         elapsed_s = (packet.t_ns - self._replenished_ns) * 1e-9

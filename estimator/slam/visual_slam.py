@@ -299,11 +299,12 @@ class _KeyframeMessages:
         frame. If no image connects it with the one before, another track begins.
         """
         self._waiting = {t: known for t, known in self._waiting.items() if t in keyframe.window_times_ns}
-        if self._frame is None or not keyframe.is_of_newest_frame:
+        frame = keyframe.frame or self._frame
+        if frame is None or not keyframe.is_of_newest_frame:
             return
         if not keyframe.is_connected:
             self.lost()
-        images, R_odom_imu = tuple(self._frame.images), keyframe.state.T_world_imu[:3, :3]
+        images, R_odom_imu = tuple(frame.images), keyframe.state.T_world_imu[:3, :3]
         imaged = ImagedKeyframe(images, keyframe.calibration.rig, R_odom_imu, keyframe.observations)
         self._waiting[keyframe.t_ns] = keyframe, imaged
         if not self._has_map_pose:
