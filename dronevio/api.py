@@ -24,6 +24,7 @@ from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Estimator, Recording
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.recordings.open import open_recording
+from dronevio.models.recordings.segments import segments_of
 from dronevio.models.rig import Rig
 from dronevio.recorder import record_closed_loop, record_flight
 from dronevio.sfm_inputs import EarlierResult, read_earlier, read_poses
@@ -111,19 +112,30 @@ def estimate(
         progress: Called with the number of processed frames.
 
     Returns:
-        The estimates of all frames and their cost.
+        The estimates of all frames and their cost. Where the clock of the recording steps, they are those of the first
+        segment, and `later` has the runs on the other ones.
 
     Raises:
         InputError: The recording cannot be read.
-        ConfigError: An argument is of another type, the recording has no camera, or `slam` with an estimator.
+        ConfigError: An argument is of another type, the recording has no camera, `slam` with an estimator, or an
+            estimator with a recording of several segments, of which each needs its own.
     """
     source = open_recording(Path(recording), repair=True) if isinstance(recording, str | Path) else recording
     if not hasattr(source, "rig"):
         raise ConfigError(f"estimate() of {type(source).__name__}; expected a recording or its path")
     if estimator is not None and not isinstance(estimator, VioConfig) and not hasattr(estimator, "add_frame"):
         raise ConfigError(f"estimate() with {estimator!r}; expected an estimator or a VioConfig")
-    chosen = _estimator(source.rig, estimator, slam)
-    return _with_map(estimate_recording(source, chosen, progress), chosen)
+    segments = segments_of(source)
+    if len(segments) > 1 and estimator is not None and not isinstance(estimator, VioConfig):
+        raise ConfigError(
+            f"one estimator for the {len(segments)} segments of {source.name}; expected a VioConfig or None, or one of"
+            " the segments, `recording` or one of `recording.later`"
+        )
+    runs = []
+    for segment in segments:
+        chosen = _estimator(segment.rig, estimator, slam)
+        runs.append(_with_map(estimate_recording(segment, chosen, progress), chosen))
+    return replace(runs[0], later=tuple(runs[1:]))
 
 
 def _estimator(rig: Rig, estimator: Estimator | VioConfig | None, slam: bool) -> Estimator:

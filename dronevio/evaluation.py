@@ -10,7 +10,7 @@ from dronevio.eval.run import EstimatorRun
 from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import Times
 from dronevio.models.protocols import Recording
-from dronevio.models.recordings.open import open_recording, read_trajectory
+from dronevio.models.recordings.open import read_frame_times, read_trajectory
 from dronevio.models.state import Trajectory
 
 
@@ -33,8 +33,9 @@ def evaluate(
         EvaluationError: The recording has no ground truth, or the two do not overlap in time.
         InputError: A file cannot be read.
     """
-    true, frame_times_ns = _true(truth)
-    return score_trajectory(true, _estimated(estimated), frame_times_ns, alignment)
+    estimate = _estimated(estimated)
+    true, frame_times_ns = _true(truth, estimate.t_ns)
+    return score_trajectory(true, estimate, frame_times_ns, alignment)
 
 
 def ate(
@@ -59,7 +60,8 @@ def ate(
         EvaluationError: The recording has no ground truth, or the two do not overlap in time.
         InputError: A file cannot be read.
     """
-    true, estimate = associate(_true(truth)[0], _estimated(estimated), "interpolate", None)
+    estimated = _estimated(estimated)
+    true, estimate = associate(_true(truth, estimated.t_ns)[0], estimated, "interpolate", None)
     motion = align(
         true.p_world_imu,
         estimate.p_world_imu,
@@ -71,8 +73,10 @@ def ate(
     return Statistics.of(errors_m)
 
 
-def _true(truth: Recording | Trajectory | str | Path) -> tuple[Trajectory, Times | None]:
+def _true(truth: Recording | Trajectory | str | Path, poses_ns: Times) -> tuple[Trajectory, Times | None]:
     """Return the true trajectory, and the time stamps of the frames (M,) [ns] if they are known.
+
+    Where the clock of a recording steps, these are of the segment with the most of the poses (N,) [ns].
 
     Raises:
         EvaluationError: A recording has no ground truth.
@@ -80,7 +84,7 @@ def _true(truth: Recording | Trajectory | str | Path) -> tuple[Trajectory, Times
     """
     if isinstance(truth, str | Path):
         path = Path(truth)
-        truth = open_recording(path) if path.is_dir() else read_trajectory(path)
+        return read_trajectory(path), read_frame_times(path, poses_ns) if path.is_dir() else None
     if isinstance(truth, Trajectory):
         return truth, None
     if truth.ground_truth is None:

@@ -38,6 +38,8 @@ class EstimatorRun:
     """Defects of the recording, and of the images that were read."""
     map: SlamMap | None = None
     """The map after the last frame; None if the estimator has none, or if it was not asked for."""
+    later: tuple["EstimatorRun", ...] = ()
+    """The runs on the segments of the recording after steps of its clock, each with a world frame of its own."""
 
     def __post_init__(self) -> None:
         """Check the lengths.

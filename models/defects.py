@@ -37,6 +37,17 @@ class DefectKind(StrEnum):
     FRAME_WITHOUT_IMU = "frame without IMU"
     """A frame is earlier than the first IMU sample, or later than the last one."""
 
+    CLOCK_STEP = "clock step"
+    """The time stamps of all sensors fall by 0.1 s or more, or advance by more than 2 s."""
+    LONE_CLOCK_STEP = "clock step of one sensor"
+    """The time stamps of one sensor fall by 0.1 s or more, while those of the others go on."""
+    UNUSABLE_SEGMENT = "unusable segment"
+    """What is between two steps of the clock is not enough for a recording."""
+    IMU_BURST = "burst of IMU samples"
+    """Several IMU samples have one time stamp, as most in the recording have."""
+    UNSET_STAMP = "unset time stamp"
+    """The header of a message has the time stamp 0, or all messages of a topic have the same one."""
+
     @property
     def key(self) -> str:
         """Key in JSON documents, such as ``missing_image``."""
@@ -59,6 +70,11 @@ _TREATMENTS = {
     DefectKind.NON_FINITE_IMU_SAMPLE: "left out",
     DefectKind.IMU_GAP: "the last sample is held",
     DefectKind.FRAME_WITHOUT_IMU: "the motion of the frame is not measured",
+    DefectKind.CLOCK_STEP: "a new segment begins",
+    DefectKind.LONE_CLOCK_STEP: "undone",
+    DefectKind.UNUSABLE_SEGMENT: "left out",
+    DefectKind.IMU_BURST: "spread evenly over the time before it",
+    DefectKind.UNSET_STAMP: "the time of the log is used",
 }
 
 

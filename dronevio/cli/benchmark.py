@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from dronevio.cli import report_defect
 from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.progress import LineBars
-from dronevio.cli.terminal import parse, print_defects, print_json, print_table
+from dronevio.cli.terminal import parse, print_defects, print_json, print_table, print_warning
 from dronevio.models.errors import DEFECT, ConfigError, InputError
 from dronevio.models.ranges import Range, Settings
 
@@ -239,12 +239,14 @@ def _report_defects(path: Path, strict: bool) -> None:
     from dronevio.models.recordings.open import open_recording
 
     try:
-        defects = open_recording(path, repair=True).defects
+        recording = open_recording(path, repair=True)
     except InputError:
         return  # the rows of the benchmark have the reason
     if strict:
-        refuse_defects(path, defects)
-    print_defects(defects, f"{path}: ")
+        refuse_defects(path, recording.defects)
+    print_defects(recording.defects, f"{path}: ")
+    if recording.later:
+        print_warning(f"{path}: the clock steps; only the first of {len(recording.later) + 1} segments is used")
 
 
 def _engine(command: BenchmarkCommand) -> "Engine":

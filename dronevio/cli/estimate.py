@@ -17,6 +17,7 @@ from dronevio.cli.terminal import (
     print_json,
     print_run_warnings,
     print_values,
+    print_warning,
     progress_bars,
 )
 
@@ -190,31 +191,76 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     command = parse(EstimateCommand, arguments, "estimate")
 
+    from dronevio.models.errors import EvaluationError
     from dronevio.models.recordings.files import check_output_path
-    from dronevio.models.recordings.tum import write_tum
 
     check_map_options(command)
-    places = result_files(command)
-    for place in places.values():
+    for place in result_files(command).values():
         check_output_path(place)  # before the estimator runs
-    found = estimated(command, opened(command))
+    segments = opened(command)
+    commands = [numbered(command, number) for number in range(1, len(segments) + 1)]
+    for place in (place for each in commands[1:] for place in result_files(each).values()):
+        check_output_path(place)
+    summaries: list[dict[str, Any]] = []
+    for of_segment, segment in zip(commands, segments, strict=True):
+        try:
+            found = estimated(of_segment, segment)
+        except EvaluationError as error:
+            if segment is segments[-1] and not any(each["poses"] for each in summaries):
+                raise
+            print_warning(str(error))
+            summaries.append({"recording": str(command.recording), "poses": 0, "reason": str(error)})
+            continue
+        summaries.append(summary_of(of_segment, found))
+        write_results(of_segment, found)
+        if not command.printing.json:
+            print_estimation(of_segment, found, summaries[-1])
+    if command.printing.json:
+        document = {"recording": str(command.recording), "segments": summaries}
+        print_json(summaries[0] if len(segments) == 1 else document)
+    return 0
+
+
+def write_results(command: EstimateCommand, found: Estimation) -> None:
+    """Write the files of the estimation of a segment.
+
+    Raises:
+        InputError: A file cannot be written.
+    """
+    from dronevio.models.recordings.tum import write_tum
+
+    places = result_files(command)
     for name, trajectory in found.trajectories.items():
         write_tum(places[name], trajectory)
     if found.slam is not None and command.save_map is not None:
         found.slam.save_map(command.save_map)
     if found.slam is not None and command.save_g2o is not None:
         found.slam.save_graph(command.save_g2o)
-    summary = summary_of(command, found)
-    if command.printing.json:
-        print_json(summary)
-        return 0
+
+
+def print_estimation(command: EstimateCommand, found: Estimation, summary: dict[str, Any]) -> None:
+    """Print the figures and the files of the estimation of a segment."""
     print_values(f"Estimate of {found.recording.name}", summary_rows(command, found, summary))
     if not found.recording.complete:
         print("The recording is incomplete: it was interrupted.")
-    print(f"wrote {' and '.join(str(place) for place in places.values())}")
+    print(f"wrote {' and '.join(str(place) for place in result_files(command).values())}")
     if found.recording.ground_truth is not None:
         print(f"evaluate it:  dronevio evaluate {command.recording} {command.out}")
-    return 0
+
+
+def numbered(command: EstimateCommand, number: int) -> EstimateCommand:
+    """Return the command with the files of a segment, counted from 1; those of the first have no number."""
+
+    def of_segment(path: Path) -> Path:
+        return path if number == 1 else path.with_stem(f"{path.stem}_{number}")
+
+    return replace(
+        command,
+        out=of_segment(command.out),
+        save_map=command.save_map and of_segment(command.save_map),
+        save_g2o=command.save_g2o and of_segment(command.save_g2o),
+        imu_rate=command.imu_rate and of_segment(command.imu_rate),
+    )
 
 
 def result_files(command: EstimateCommand) -> dict[str, Path]:
@@ -232,21 +278,24 @@ def result_files(command: EstimateCommand) -> dict[str, Path]:
     return files
 
 
-def opened(command: EstimateCommand) -> "StoredRecording":
-    """Open the recording and print its defects.
+def opened(command: EstimateCommand) -> "tuple[StoredRecording, ...]":
+    """Open the recording, print its defects and return its segments.
 
     Raises:
         InputError: It cannot be read; or it has defects, and ``--strict`` is set.
         ConfigError: An option does not fit it.
     """
     from dronevio.models.defects import refuse_defects
+    from dronevio.models.recordings.segments import segments_of
 
     recording = command.reading.open(command.recording, repair=True)
+    segments = segments_of(recording)
+    defects = [defect for segment in segments for defect in segment.defects]
     if command.strict:
-        refuse_defects(command.recording, recording.defects)
-        recording = replace(recording, repair=False)  # refuses damaged images when they are read
-    print_defects(recording.defects)
-    return recording
+        refuse_defects(command.recording, defects)
+        segments = (replace(recording, repair=False),)  # refuses damaged images when they are read
+    print_defects(defects)
+    return segments
 
 
 def estimated(command: EstimateCommand, recording: "StoredRecording") -> Estimation:

@@ -95,7 +95,7 @@ def main(arguments: Sequence[str]) -> int:
     scored = score_trajectory(
         truth,
         estimate,
-        _frame_times_ns(command.truth),
+        _frame_times_ns(command.truth, estimate.t_ns),
         command.alignment,
         align_poses=command.align_poses,
         rpe=PairRule(command.rpe_delta, command.rpe_unit, command.rpe_pairs, command.rpe_source, command.rpe_tolerance),
@@ -219,13 +219,16 @@ def _trajectory(command: EvaluateCommand, path: Path) -> "Trajectory":
     return Alignment(R_UP_KITTI, np.zeros(3)).apply(trajectory) if is_kitti(path) else trajectory
 
 
-def _frame_times_ns(truth: Path) -> "Times | None":
-    """Return the (N,) time stamps of all frames [ns] if the truth is a recording with images, else None."""
+def _frame_times_ns(truth: Path, poses_ns: "Times") -> "Times | None":
+    """Return the (M,) time stamps of all frames [ns] if the truth is a recording with images, else None.
+
+    Where the clock of the recording steps, they are those of the segment with the most of the poses (N,) [ns].
+    """
     if not _is_recording(truth):
         return None
     from dronevio.models.recordings.open import read_frame_times
 
-    return read_frame_times(truth)
+    return read_frame_times(truth, poses_ns)
 
 
 def _is_recording(path: Path) -> bool:

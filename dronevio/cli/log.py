@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from dronevio.cli.options import Output, OutputOptions, RecordingInput, RecordingOptions
-from dronevio.cli.terminal import parse, print_defects, print_json, print_table, progress_bars
+from dronevio.cli.terminal import parse, print_defects, print_json, print_table, print_warning, progress_bars
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.ranges import Range, Settings
 
@@ -59,6 +59,8 @@ def main(arguments: Sequence[str]) -> int:
     names = names_of(command.estimates, command.names)
     _check(command)
 
+    import numpy as np
+
     from dronevio.cli.output_files import atomic_file
     from dronevio.eval.rerun.compare import align_estimates
     from dronevio.eval.rerun.files import write_estimates
@@ -66,12 +68,18 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.eval.rerun.video import VideoSettings
     from dronevio.models.recordings.open import read_trajectory
     from dronevio.models.recordings.scenery_file import read_scenery
+    from dronevio.models.recordings.segments import most_common, segments_of
     from dronevio.surroundings import surroundings_in
 
     recording = command.reading.open(command.recording, repair=True)
+    trajectories = [read_trajectory(path) for path in command.estimates]
+    segments = segments_of(recording)
+    if len(segments) > 1:
+        poses_ns = np.concatenate([each.t_ns for each in trajectories])
+        recording = segments[most_common([each.frame_times_ns for each in segments], poses_ns)]
+        print_warning(f"the clock steps; the file shows {recording.name}, which has the most of the poses")
     print_defects(recording.defects)
     truth = recording.ground_truth if command.truth is None else read_trajectory(command.truth)
-    trajectories = [read_trajectory(path) for path in command.estimates]
     estimates = align_estimates(names, trajectories, truth, recording.frame_times_ns, command.alignment)
     in_same_frame = truth is not None and command.truth is None  # that of the simulated world
     surroundings = surroundings_in(read_scenery(command.recording)) if in_same_frame else NO_SURROUNDINGS

@@ -32,15 +32,15 @@ from dronevio.models.recordings.image_list import ImageList
 from dronevio.models.recordings.images import DamagedImageError, encode_png, read_grey
 from dronevio.models.recordings.repair import (
     ABSENT,
-    IMU_STAMPS,
-    finite_rows,
     imu_defects,
-    increasing_rows,
     paired_frames,
+    repaired_samples,
     unpaired_images,
 )
+from dronevio.models.recordings.segments import segment_name, split_at_steps, usable_segments
 from dronevio.models.recordings.timed_table import (
     TableFormat,
+    TimedTable,
     check_unit_quaternions,
     parse_integer_ns,
     read_timed_table,
@@ -99,6 +99,9 @@ class EurocRecording:
     """Whether frames go without images that are missing or damaged; otherwise these raise an error."""
     defects: tuple[Defect, ...] = field(default=(), repr=False)
     """Defects that were found when the recording was opened with `repair`."""
+    later: tuple["EurocRecording", ...] = field(default=(), repr=False)
+    """Segments after steps of the clock, each a recording of its own, if it was opened with `repair`; see
+    `dronevio.models.recordings.segments`."""
 
     @classmethod
     def open(cls, folder: Path | str, cameras: int | None = None, repair: bool = False) -> Self:
@@ -121,27 +124,33 @@ class EurocRecording:
         used = count_cameras(mav0) if cameras is None else min(cameras, count_cameras(mav0))
         lists = [ImageList.read(mav0 / f"cam{i}") for i in range(used)]
         complete = not (mav0 / INCOMPLETE).exists()
-        frames = _repaired_frames(mav0, lists, complete) if repair else _strict_frames(mav0, lists, complete)
         frame_truth = mav0 / FRAME_TRUTH_FILE
-        rig, imu_path = read_euroc_rig(mav0, used), mav0 / "imu0" / "data.csv"
-        imu, defects = read_repaired_imu(imu_path) if repair else (read_imu(imu_path), ())
-        if read_euroc_sampling(mav0) == "increment":
-            imu = increments_of_means(imu)
-        if repair:
-            defects = (*frames.defects, *defects, *imu_defects(imu, frames.t_ns, rig.time_offset_s, mav0))
-        return cls(
+        rig = read_euroc_rig(mav0, used)
+        parts = (_repaired_parts if repair else _strict_parts)(mav0, lists, complete, rig.time_offset_s)
+        whole = cls(
             name=mav0.resolve().parent.name,
             mav0=mav0,
             rig=rig,
-            imu=imu,
-            frame_times_ns=frames.t_ns,
-            image_files=frames.files,
+            imu=parts[0].imu,
+            frame_times_ns=parts[0].frames.t_ns,
+            image_files=parts[0].frames.files,
             ground_truth=_ground_truth_of(mav0),
             frame_truth=read_frame_truth(frame_truth) if frame_truth.exists() else None,
             complete=complete,
             repair=repair,
-            defects=defects,
         )
+        segments = [
+            replace(
+                whole,
+                name=segment_name(whole.name, number, len(parts)),
+                imu=part.imu,
+                frame_times_ns=part.frames.t_ns,
+                image_files=part.frames.files,
+                defects=part.defects,
+            )
+            for number, part in enumerate(parts, 1)
+        ]
+        return replace(segments[0], later=tuple(segments[1:]))
 
     def frame(self, index: int) -> CameraFrame:
         """Return the frame with a given index, 0 ≤ index < M.
@@ -176,6 +185,56 @@ class _Frames:
     """M image files of each camera, None where it has none."""
     defects: tuple[Defect, ...] = ()
     """Defects of the images."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """What a folder has of one segment."""
+
+    frames: _Frames
+    """The frames."""
+    imu: ImuSamples
+    """The IMU samples."""
+    defects: tuple[Defect, ...] = ()
+    """The defects of both."""
+
+
+def _strict_parts(mav0: Path, lists: Sequence[ImageList], complete: bool, _offset_s: float) -> tuple[_Part, ...]:
+    """Return what a folder without defects has, or raise InputError."""
+    imu = read_imu(mav0 / "imu0" / "data.csv")
+    return (_Part(_strict_frames(mav0, lists, complete), _sampled(mav0, imu)),)
+
+
+def _repaired_parts(mav0: Path, lists: Sequence[ImageList], complete: bool, offset_s: float) -> tuple[_Part, ...]:
+    """Return what a folder has of each segment, one or more, with its defects.
+
+    Raises:
+        InputError: No segment has frames and IMU samples of the same time.
+    """
+    table = read_timed_table(mav0 / "imu0" / "data.csv", IMU_TABLE, checked=False)
+    offsets_ns = [0, *[round(offset_s * 1e9)] * len(lists)]
+    split = split_at_steps([table.t_ns, *(each.t_ns for each in lists)], offsets_ns)
+    table = replace(table, t_ns=split.stamps[0])
+    lists = [replace(each, t_ns=t_ns) for each, t_ns in zip(lists, split.stamps[1:], strict=True)]
+
+    def part(segment: int) -> _Part:
+        rows = [np.arange(len(t_ns))[split.rows(k)[segment]] for k, t_ns in enumerate(split.stamps)]
+        chosen = [each.selected(of) for each, of in zip(lists, rows[1:], strict=True)]
+        frames = _repaired_frames(mav0, chosen, complete)
+        imu, defects = _repaired_imu(table.selected(rows[0]))
+        late = imu_defects(imu, frames.t_ns, offset_s, mav0)
+        steps = split.defects(segment, [table.place, *(each.place for each in lists)])
+        return _Part(replace(frames, defects=()), _sampled(mav0, imu), (*frames.defects, *defects, *late, *steps))
+
+    return tuple(
+        replace(found, defects=(*left_out, *found.defects))
+        for found, left_out in usable_segments(len(split.steps) + 1, part)
+    )
+
+
+def _sampled(mav0: Path, imu: ImuSamples) -> ImuSamples:
+    """Return the IMU samples of a folder as the values that its ``sensor.yaml`` says they are."""
+    return increments_of_means(imu) if read_euroc_sampling(mav0) == "increment" else imu
 
 
 def _strict_frames(mav0: Path, lists: Sequence[ImageList], complete: bool) -> _Frames:
@@ -287,24 +346,19 @@ def read_imu(path: Path | str) -> ImuSamples:
     return ImuSamples(table.t_ns, _columns(table.values, 0, 3), _columns(table.values, 3, 6), "point")
 
 
-def read_repaired_imu(path: Path) -> tuple[ImuSamples, tuple[Defect, ...]]:
-    """Read an IMU table as point samples in the order of time, without those that are not finite, and its defects.
+def _repaired_imu(table: TimedTable) -> tuple[ImuSamples, tuple[Defect, ...]]:
+    """Return the samples of an IMU table as point samples in the order of time, and the defects.
 
     Raises:
-        InputError: The file is missing, empty, truncated or in another format, or no sample is finite.
+        InputError: No sample is finite.
     """
-    table = read_timed_table(path, IMU_TABLE, checked=False)
-
-    def describe(row: int) -> str:
-        return f"{path}:{table.lines[row]}: sample at {table.t_ns[row]} ns"
-
-    finite, not_finite = finite_rows(table.t_ns, table.values, describe)
-    if not len(finite):
-        raise InputError(path, f"{len(table.t_ns)} samples, none of which is finite", "finite numbers")
-    increasing, unordered = increasing_rows(table.t_ns[finite], IMU_STAMPS, lambda row: describe(int(finite[row])))
-    rows = finite[increasing]
-    samples = ImuSamples(table.t_ns[rows], _columns(table.values[rows], 0, 3), _columns(table.values[rows], 3, 6))
-    return samples, (*not_finite, *unordered)
+    t_ns, rows, defects = repaired_samples(
+        table.t_ns, table.values, lambda row: f"{table.place(row)}: sample at {table.t_ns[row]} ns"
+    )
+    if not len(rows):
+        raise InputError(table.path, f"{len(table.t_ns)} samples, none of which is finite", "finite numbers")
+    values = table.values[rows]
+    return ImuSamples(t_ns, _columns(values, 0, 3), _columns(values, 3, 6)), defects
 
 
 def read_groundtruth(path: Path | str) -> Trajectory:
@@ -329,14 +383,32 @@ def read_groundtruth(path: Path | str) -> Trajectory:
 
 
 def read_euroc_frame_times(folder: Path | str) -> Times:
-    """Return the time stamps (M,) [ns] of the frames of the main camera in an EuRoC folder.
+    """Return the time stamps (M,) [ns] of the frames of the main camera in an EuRoC folder, or its first segment.
 
     Raises:
         InputError: The file ``cam0/data.csv`` is missing or damaged.
     """
-    listed = ImageList.read(find_mav0(folder) / "cam0").ordered()[0]
-    exists = listed.existing()
-    return listed.t_ns[exists] if exists.any() else listed.t_ns  # a folder may be kept without its images
+    return read_euroc_segment_times(folder)[0]
+
+
+def read_euroc_segment_times(folder: Path | str) -> tuple[Times, ...]:
+    """Return the time stamps (M,) [ns] of the frames of the main camera in each segment of an EuRoC folder.
+
+    Raises:
+        InputError: The file ``cam0/data.csv`` is missing or damaged.
+    """
+    mav0 = find_mav0(folder)
+    listed = ImageList.read(mav0 / "cam0")
+    split = split_at_steps([listed.t_ns])
+    if len(split.steps):  # what the camera has in common with the IMU
+        table = read_timed_table(mav0 / "imu0" / "data.csv", IMU_TABLE, checked=False)
+        offset_ns = round(read_euroc_rig(mav0, 1).time_offset_s * 1e9)
+        split = split_at_steps([listed.t_ns, table.t_ns], [offset_ns, 0])
+    listed = replace(listed, t_ns=split.stamps[0])
+    segments = [listed.selected(np.arange(len(listed.t_ns))[rows]).ordered()[0] for rows in split.rows(0)]
+    # A folder may be kept without its images.
+    existing = [(each.t_ns, exists) for each in segments for exists in [each.existing()]]
+    return tuple(t_ns[exists] if exists.any() else t_ns for t_ns, exists in existing)
 
 
 def write_euroc(

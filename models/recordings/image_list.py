@@ -58,6 +58,10 @@ class ImageList:
         check_increasing(self.path, self.t_ns, self.lines)
         return self
 
+    def place(self, row: int) -> str:
+        """Return file and line of a row."""
+        return f"{self.path}:{self.lines[row]}"
+
     def ordered(self) -> tuple[Self, tuple[Defect, ...]]:
         """Return the list in the order of time with the first image of each time stamp, and the defects."""
 

@@ -11,7 +11,8 @@ from dronevio.models.recordings import tum
 from dronevio.models.recordings.bag.options import BagTopics
 from dronevio.models.recordings.calibration.euroc import count_cameras, read_euroc_rig
 from dronevio.models.recordings.calibration.kalibr import CAMCHAIN_FILE, read_kalibr
-from dronevio.models.recordings.euroc import EurocRecording, find_mav0, read_euroc_frame_times
+from dronevio.models.recordings.euroc import EurocRecording, find_mav0, read_euroc_segment_times
+from dronevio.models.recordings.segments import most_common
 from dronevio.models.rig import Rig
 from dronevio.models.state import Trajectory
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from dronevio.models.recordings.bag.recording import BagRecording
 
 StoredRecording: TypeAlias = "EurocRecording | BagRecording"
-"""Types that `open_recording` returns: a `Recording` with the fields ``frame_truth``, ``complete`` and ``defects``."""
+"""Types that `open_recording` returns: a `Recording` with ``frame_truth``, ``complete``, ``defects`` and ``later``."""
 
 _STORAGES = (".mcap", ".db3")
 
@@ -42,6 +43,7 @@ def open_recording(
         topics: Topics of a bag to read, if they cannot be found by type.
         repair: Whether to go on with defects such as damaged images, and to list them in ``defects`` of the recording
             and of its frames. Otherwise, they raise an error, and frames that not every camera has are left out.
+            Where the clock steps, the recording is the first segment, and ``later`` has the other ones.
         imu: Model of the IMU in place of that of the recording, for example where its noise is unknown. The rate stays
             that of the recording.
 
@@ -67,7 +69,7 @@ def open_recording(
     if imu is None:
         return recording
     rig = replace(recording.rig, imu=replace(imu, rate_hz=recording.rig.imu.rate_hz))
-    return replace(recording, rig=rig)
+    return replace(recording, rig=rig, later=tuple(replace(segment, rig=rig) for segment in recording.later))
 
 
 def is_bag(path: Path) -> bool:
@@ -108,8 +110,13 @@ def read_trajectory(path: Path) -> Trajectory:
     return read_truth(path)
 
 
-def read_frame_times(path: Path) -> Times | None:
+def read_frame_times(path: Path, poses_ns: Times | None = None) -> Times | None:
     """Return the time stamps (M,) [ns] of the frames of a recording, None if the path is not a recording with images.
+
+    Args:
+        path: The recording.
+        poses_ns: Time stamps of poses; where the clock of the recording steps, the frames are those of the segment with
+            the most of these, or of the first segment [ns].
 
     Raises:
         InputError: The recording is damaged.
@@ -118,7 +125,9 @@ def read_frame_times(path: Path) -> Times | None:
     if is_bag(path):
         from dronevio.models.recordings.bag.recording import read_bag_frame_times
 
-        return read_bag_frame_times(path)
-    if not path.is_dir() or not (find_mav0(path) / "cam0").is_dir():
+        segments = read_bag_frame_times(path)
+    elif not path.is_dir() or not (find_mav0(path) / "cam0").is_dir():
         return None
-    return read_euroc_frame_times(path)
+    else:
+        segments = read_euroc_segment_times(path)
+    return segments[0 if poses_ns is None else most_common(segments, poses_ns)] if segments else None

@@ -11,6 +11,7 @@ from dronevio.models.defects import Defect, DefectKind
 from dronevio.models.errors import InputError
 from dronevio.models.imu import IMU_GAP_INTERVALS, ImuSamples, Times
 from dronevio.models.protocols import MAX_WAIT_INTERVALS
+from dronevio.models.recordings.bursts import spread_bursts
 
 Rows = npt.NDArray[np.int64]
 Describe = Callable[[int], str]
@@ -76,6 +77,27 @@ def finite_rows(t_ns: Times, values: npt.NDArray[np.float64], describe: Describe
         for row in np.flatnonzero(~is_finite).tolist()
     ]
     return np.flatnonzero(is_finite), tuple(defects)
+
+
+def repaired_samples(
+    t_ns: Times, values: npt.NDArray[np.float64], describe: Describe
+) -> tuple[Times, Rows, tuple[Defect, ...]]:
+    """Return what a reader makes of the rows of an IMU: finite samples in the order of time, with bursts spread.
+
+    Args:
+        t_ns: (N,) Time stamps in the order of the rows [ns].
+        values: (N, 6) Angular velocities and specific forces.
+        describe: Returns the place of a row.
+
+    Returns:
+        Increasing time stamps (K,) [ns], the row (K,) of each sample, and the defects.
+    """
+    finite, not_finite = finite_rows(t_ns, values, describe)
+    spread, bursts = spread_bursts(t_ns[finite], values[finite])
+    spread_rows = finite[bursts].tolist()
+    defects = (*not_finite, *(Defect(DefectKind.IMU_BURST, int(t_ns[row]), describe(row)) for row in spread_rows))
+    increasing, unordered = increasing_rows(spread, IMU_STAMPS, lambda row: describe(int(finite[row])))
+    return spread[increasing], finite[increasing], (*defects, *unordered)
 
 
 def paired_frames(stamps: Sequence[Times], tolerance_s: float = SYNC_TOLERANCE_S) -> tuple[Times, Rows]:

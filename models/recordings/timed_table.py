@@ -74,6 +74,14 @@ class TimedTable:
     n_repeated: int = 0
     """Number of rows that repeat the time stamp of the previous row."""
 
+    def place(self, row: int) -> str:
+        """Return file and line of a row."""
+        return f"{self.path}:{self.lines[row]}"
+
+    def selected(self, rows: npt.NDArray[np.int64]) -> "TimedTable":
+        """Return the table of some of the rows."""
+        return TimedTable(self.path, self.t_ns[rows], self.values[rows], self.lines[rows])
+
 
 def parse_integer_ns(text: str) -> int:
     """Return the time [ns] of a text with a whole number of nanoseconds.

@@ -2,8 +2,8 @@
 
 Topics are found by their message type. Bags that this package wrote are read without loss of precision; for others, the
 calibration that is not in the bag (IMU noise, often the extrinsics of the cameras) comes from Kalibr's files. Times are
-those of the message headers, not the log times. The images of a frame may differ in their time stamps by a small
-tolerance; the time stamp of the frame is that of the image of the first camera.
+those of the message headers, and of the log where a header has none. The images of a frame may differ in their time
+stamps by a small tolerance; the time stamp of the frame is that of the image of the first camera.
 
 Opening a bag reads the time stamp of each image; `BagRecording.frame` decodes the images of one frame.
 """
@@ -11,7 +11,7 @@ Opening a bag reads the time stamp of each image; `BagRecording.frame` decodes t
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Self, cast
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,8 @@ from dronevio.models.recordings.bag.messages import ImageMessage, grey_image, im
 from dronevio.models.recordings.bag.missing import MissingParts
 from dronevio.models.recordings.bag.options import BagTopics
 from dronevio.models.recordings.bag.rig import bag_rig, read_calibrations
-from dronevio.models.recordings.bag.topics import IMAGE_TYPES, find_topics, image_topics, truth_topic
+from dronevio.models.recordings.bag.stamps import TopicStamps
+from dronevio.models.recordings.bag.topics import IMAGE_TYPES, IMU_TYPES, find_topics, image_topics, truth_topic
 from dronevio.models.recordings.bag.truth import read_bag_frame_truth, read_bag_truth
 from dronevio.models.recordings.bag.writer import TRUTH_TOPIC
 from dronevio.models.recordings.frame_truth import FrameTruth
@@ -33,14 +34,14 @@ from dronevio.models.recordings.images import DamagedImageError
 from dronevio.models.recordings.repair import (
     ABSENT,
     IMAGE_STAMPS,
-    IMU_STAMPS,
     SYNC_TOLERANCE_S,
-    finite_rows,
     imu_defects,
     increasing_rows,
     paired_frames,
+    repaired_samples,
     unpaired_images,
 )
+from dronevio.models.recordings.segments import Split, segment_name, split_at_steps, usable_segments
 from dronevio.models.rig import Rig, check_camera_count
 from dronevio.models.state import NO_IMAGE, CameraFrame, Trajectory
 
@@ -76,6 +77,9 @@ class BagRecording:
     """Whether frames go without images that are damaged; otherwise these raise an error."""
     defects: tuple[Defect, ...] = field(default=(), repr=False)
     """Defects that were found when the bag was opened with `repair`."""
+    later: tuple["BagRecording", ...] = field(default=(), repr=False)
+    """Segments after steps of the clock, each a recording of its own, if the bag was opened with `repair`; see
+    `dronevio.models.recordings.segments`."""
 
     @classmethod
     def open(
@@ -87,7 +91,7 @@ class BagRecording:
         sync_tolerance_s: float = SYNC_TOLERANCE_S,
         repair: bool = False,
         imu: ImuModel | None = None,
-    ) -> Self:
+    ) -> "BagRecording":
         """Read everything except the images.
 
         Args:
@@ -113,34 +117,51 @@ class BagRecording:
         selected = find_topics(bag, topics or BagTopics(), _calibrated_topics(bag, files), cameras, parts)
         if not selected.images or not selected.imu:
             bag_rig(bag, selected, read_calibrations(bag, files), 20.0, parts, imu)  # raises for all that is missing
-        images = tuple(ImageTopic(bag, topic, repair) for topic in selected.images)
-        times, rows = (_all_frames if repair else synchronized)(bag, images, sync_tolerance_s)
-        calibrations = read_calibrations(bag, files, _rate_hz(times))
-        rig, sampling = bag_rig(bag, selected, calibrations, _rate_hz(times), parts, imu)
-        samples, imu_stamps = _read_imu(bag, selected.imu, sampling, repair)
-        if imu is not None and len(samples) > 1:
-            rig = replace(rig, imu=replace(imu, rate_hz=_rate_hz(samples.t_ns)))
-        defects: tuple[Defect, ...] = ()
-        if repair:
-            defects = (
-                *(defect for topic in images for defect in topic.defects),
-                *unpaired_images(times, rows, selected.images),
-                *imu_stamps,
-                *imu_defects(samples, times, rig.time_offset_s, bag.path),
+        imu_stamps, imu_values = _imu_rows(bag, selected.imu)
+        streams = [imu_stamps, *(bag.stamps(topic) for topic in selected.images)]
+        split = split_at_steps([each.t_ns for each in streams])
+        if not repair:
+            _check_clock(bag, streams, split)
+            split = Split(split.stamps, (), ((),) * len(streams))
+        streams = [replace(each, t_ns=t_ns) for each, t_ns in zip(streams, split.stamps, strict=True)]
+        truths, frame_truth = _truths(bag, selected.truth, imu_stamps, split), read_bag_frame_truth(bag)
+
+        def segment(index: int) -> "BagRecording":
+            own = [each.selected(split.rows(k)[index]) for k, each in enumerate(streams)]
+            images = tuple(ImageTopic(bag, stamps, repair) for stamps in own[1:])
+            times, rows = (_all_frames if repair else synchronized)(bag, images, sync_tolerance_s)
+            calibrations = read_calibrations(bag, files, _rate_hz(times))
+            rig, sampling = bag_rig(bag, selected, calibrations, _rate_hz(times), parts, imu)
+            samples, imu_found = _imu_of(bag, own[0], imu_values[split.rows(0)[index]], sampling, repair)
+            if imu is not None and len(samples) > 1:
+                rig = replace(rig, imu=replace(imu, rate_hz=_rate_hz(samples.t_ns)))
+            defects: tuple[Defect, ...] = ()
+            if repair:
+                defects = (
+                    *(defect for each in own for defect in each.defects),
+                    *(defect for topic in images for defect in topic.defects),
+                    *unpaired_images(times, rows, selected.images),
+                    *imu_found,
+                    *imu_defects(samples, times, rig.time_offset_s, bag.path),
+                    *split.defects(index, [each.place for each in streams]),
+                )
+            return cls(
+                name=segment_name(Path(path).resolve().stem, index + 1, len(split.steps) + 1),
+                rig=rig,
+                imu=samples,
+                frame_times_ns=times,
+                ground_truth=truths[index],
+                frame_truth=frame_truth,
+                topics=selected,
+                image_rows=rows,
+                images=images,
+                repair=repair,
+                defects=defects,
             )
-        return cls(
-            name=Path(path).resolve().stem,
-            rig=rig,
-            imu=samples,
-            frame_times_ns=times,
-            ground_truth=read_bag_truth(bag, selected.truth) if selected.truth else None,
-            frame_truth=read_bag_frame_truth(bag),
-            topics=selected,
-            image_rows=rows,
-            images=images,
-            repair=repair,
-            defects=defects,
-        )
+
+        found = usable_segments(len(split.steps) + 1, segment)
+        first, *later = [replace(each, defects=(*left_out, *each.defects)) for each, left_out in found]
+        return replace(first, later=tuple(later))
 
     def frame(self, index: int) -> CameraFrame:
         """Return the frame with a given index, 0 ≤ index < M.
@@ -167,30 +188,27 @@ class BagRecording:
 class ImageTopic:
     """Images of one topic, decoded one at a time; access in the order of time is fastest."""
 
-    def __init__(self, bag: BagFile, topic: str, repair: bool = False) -> None:
-        """Read the time stamps of the images.
+    def __init__(self, bag: BagFile, stamps: TopicStamps, repair: bool = False) -> None:
+        """Take the time stamps of the images.
 
         Args:
             bag: The bag.
-            topic: Name of the topic.
+            stamps: Time stamps of the images to use.
             repair: Whether to use the first of several images with the same time stamp.
 
         Raises:
-            InputError: The topic has no images, two have the same time stamp, or the bag is damaged.
+            InputError: Two images have the same time stamp.
         """
+        topic, t_ns = stamps.topic, stamps.t_ns
         self._bag, self._topic = bag, topic
-        stamps = [(bag.stamp_ns(topic, raw), logged_ns) for logged_ns, raw in bag.raw_messages(topic)]
-        if not stamps:
-            raise bag.error(f"{topic}: no messages", "images")
-        stamps_ns, logged_ns = np.array(stamps, dtype=np.int64).T
-        order, defects = increasing_rows(stamps_ns, IMAGE_STAMPS, lambda row: f"{topic}: image at {stamps_ns[row]} ns")
+        order, defects = increasing_rows(t_ns, IMAGE_STAMPS, lambda row: f"{topic}: image at {t_ns[row]} ns")
         if not repair:
-            bag.check_stamps(topic, np.sort(stamps_ns))
+            bag.check_stamps(topic, np.sort(t_ns))
         self.defects = defects
         """Defects of the time stamps."""
-        self.t_ns: Times = stamps_ns[order]
+        self.t_ns: Times = t_ns[order]
         """(K,) Time stamps of the images, increasing [ns]."""
-        self._logged_ns = logged_ns[order]
+        self._header_ns, self._logged_ns = stamps.header_ns[order], stamps.logged_ns[order]
         self._reader: BagFile | None = None
         self._following: Iterator[tuple[int, bytes]] = iter(())
 
@@ -211,16 +229,16 @@ class ImageTopic:
 
     def _message(self, row: int) -> bytes:
         """Return the bytes of the message with index ``row``: the following one, or else found by its log time."""
-        stamp_ns = int(self.t_ns[row])
-        for _, raw in self._following:
-            if self._bag.stamp_ns(self._topic, raw) == stamp_ns:
+        stamp_ns, times = int(self.t_ns[row]), (int(self._logged_ns[row]), int(self._header_ns[row]))
+        for logged_ns, raw in self._following:
+            if (logged_ns, self._bag.stamp_ns(self._topic, raw)) == times:
                 return raw
             break
         if self._reader is None:  # a separate reader, because a reader has one position in the file
             self._reader = BagFile(self._bag.path)
-        self._following = self._reader.raw_messages(self._topic, int(self._logged_ns[row]))
-        for _, raw in self._following:
-            if self._bag.stamp_ns(self._topic, raw) == stamp_ns:
+        self._following = self._reader.raw_messages(self._topic, times[0])
+        for logged_ns, raw in self._following:
+            if (logged_ns, self._bag.stamp_ns(self._topic, raw)) == times:
                 return raw
         raise self._bag.error(
             f"{self._topic}: the image of {stamp_ns} ns is missing", "a bag that does not change while it is read"
@@ -240,16 +258,22 @@ def read_truth(path: Path) -> Trajectory:
     return read_bag_truth(bag, topic)
 
 
-def read_bag_frame_times(path: Path) -> Times | None:
-    """Return the time stamps (M,) [ns] of the images of the first camera in a bag, None if it has no images.
+def read_bag_frame_times(path: Path) -> tuple[Times, ...]:
+    """Return the time stamps (M,) [ns] of the images of the first camera in each segment of a bag; none without images.
 
     Raises:
         InputError: The bag is damaged.
     """
     bag = BagFile(path)
     if not bag.topics_of_type(*IMAGE_TYPES):
-        return None
-    return ImageTopic(bag, image_topics(bag, _calibrated_topics(bag, ()))[0], repair=True).t_ns
+        return ()
+    stamps = bag.stamps(image_topics(bag, _calibrated_topics(bag, ()))[0])
+    split = split_at_steps([stamps.t_ns])
+    if len(split.steps):  # what the camera has in common with the IMU
+        imu = bag.topics_of_type(*IMU_TYPES)
+        split = split_at_steps([stamps.t_ns, *(bag.stamps(topic).t_ns for topic in imu[:1])])
+    stamps = replace(stamps, t_ns=split.stamps[0])
+    return tuple(ImageTopic(bag, stamps.selected(rows), repair=True).t_ns for rows in split.rows(0))
 
 
 def _calibrated_topics(bag: BagFile, files: Sequence[Path]) -> tuple[str, ...]:
@@ -258,29 +282,55 @@ def _calibrated_topics(bag: BagFile, files: Sequence[Path]) -> tuple[str, ...]:
     return next((calibration.topics for calibration in calibrations if calibration.topics), ())
 
 
-def _read_imu(bag: BagFile, topic: str, sampling: Sampling, repair: bool) -> tuple[ImuSamples, tuple[Defect, ...]]:
-    """Return the IMU samples of a topic in the order of time, and their defects.
+def _check_clock(bag: BagFile, streams: Sequence[TopicStamps], split: Split) -> None:
+    """Raise InputError if the clock of a bag steps back, or a header has no time stamp."""
+    for stamps, lone in zip(streams, split.lone, strict=True):
+        if stamps.unset.any():
+            bag.check_stamps(stamps.topic, np.sort(stamps.header_ns))
+        for step in lone:
+            raise bag.error(f"{stamps.place(step.row)}: {step}", "time stamps of a clock that runs on")
+    for step in (step[0] for step in split.steps if step[0].is_fall):
+        raise bag.error(f"{streams[0].place(step.row)}: {step}", "time stamps of a clock that runs on")
 
-    Raises:
-        InputError: A message is damaged; or, without `repair`, two have the same time stamp or one is not finite.
-    """
-    t_ns, messages = bag.listed_messages(topic)
+
+def _truths(bag: BagFile, topic: str, imu: TopicStamps, split: Split) -> tuple[Trajectory | None, ...]:
+    """Return the ground truth of each segment: the part with its steps if it has them too, or else the whole."""
+    count = len(split.steps) + 1
+    if not topic:
+        return (None,) * count
+    if count > 1:
+        own = split_at_steps([imu.t_ns, bag.stamps(topic).t_ns])
+        if len(own.steps) == len(split.steps):
+            return tuple(read_bag_truth(bag, topic, rows) for rows in own.rows(1))
+    return (read_bag_truth(bag, topic),) * count
+
+
+def _imu_rows(bag: BagFile, topic: str) -> tuple[TopicStamps, Array]:
+    """Return the time stamps of IMU samples and their values (N, 6), in the order of the bag, or raise InputError."""
+    stamps, messages = bag.listed_messages(topic)
     try:
         gyro, accel = imu_samples(cast("list[ros.sensor_msgs__msg__Imu]", messages))
     except ValueError as error:
         raise bag.error(f"{topic}: {error}", "both in each message") from None
+    return stamps, np.hstack([gyro, accel])
 
-    def describe(row: int) -> str:
-        return f"{topic}: sample at {t_ns[row]} ns"
 
-    finite, not_finite = finite_rows(t_ns, np.hstack([gyro, accel]), describe)
-    increasing, unordered = increasing_rows(t_ns[finite], IMU_STAMPS, lambda row: describe(int(finite[row])))
+def _imu_of(
+    bag: BagFile, stamps: TopicStamps, values: Array, sampling: Sampling, repair: bool
+) -> tuple[ImuSamples, tuple[Defect, ...]]:
+    """Return IMU samples in the order of time, and their defects.
+
+    Raises:
+        InputError: No sample is finite; or, without `repair`, two have the same time stamp or one is not finite.
+    """
+    topic = stamps.topic
     if not repair:
-        bag.check_stamps(topic, np.sort(t_ns))
-    if not len(finite) or (len(not_finite) and not repair):
+        bag.check_stamps(topic, np.sort(stamps.t_ns))
+    t_ns, rows, defects = repaired_samples(stamps.t_ns, values, lambda row: f"{topic}: sample at {stamps.t_ns[row]} ns")
+    if not len(rows) or (len(rows) < len(values) and not repair):
         raise bag.error(f"{topic}: a non-finite number", "finite numbers")
-    rows = finite[increasing]
-    return ImuSamples(t_ns[rows], gyro[rows], accel[rows], sampling), (*not_finite, *unordered)
+    gyro, accel = np.ascontiguousarray(values[rows, :3]), np.ascontiguousarray(values[rows, 3:])
+    return ImuSamples(t_ns, gyro, accel, sampling), defects
 
 
 def _all_frames(

@@ -20,7 +20,7 @@ Array = npt.NDArray[np.float64]
 _UNIT_TOLERANCE = 0.05  # as for all trajectories
 
 
-def read_bag_truth(bag: BagFile, topic: str) -> Trajectory:
+def read_bag_truth(bag: BagFile, topic: str, rows: slice = slice(None)) -> Trajectory:
     """Read the true trajectory of the IMU.
 
     Bags that this package wrote have velocity and biases on separate topics. The velocity of other odometry is rotated
@@ -29,11 +29,12 @@ def read_bag_truth(bag: BagFile, topic: str) -> Trajectory:
     Args:
         bag: The bag.
         topic: Topic of the poses.
+        rows: The messages to read, in the order of the bag.
 
     Raises:
         InputError: A pose is invalid, two time stamps are equal, or topics have different time stamps.
     """
-    t_ns, messages = bag.stamped_messages(topic)
+    t_ns, messages = bag.stamped_messages(topic, rows)
     poses = np.array([position_and_quat_wxyz(cast(PoseMessage, message)) for message in messages]).reshape(-1, 7)
     with np.errstate(over="ignore", invalid="ignore"):  # damaged bytes may be arbitrary numbers
         lengths = np.linalg.norm(poses[:, 3:], axis=1)
@@ -43,7 +44,7 @@ def read_bag_truth(bag: BagFile, topic: str) -> Trajectory:
         raise bag.error(found, "a finite position and a unit quaternion")
     p, quat_wxyz = np.ascontiguousarray(poses[:, :3]), np.ascontiguousarray(poses[:, 3:])
     if topic == TRUTH_TOPIC:
-        vectors = {field: _vectors(bag, vector, t_ns) for vector, (field, _) in TRUE_VECTORS.items()}
+        vectors = {field: _vectors(bag, vector, t_ns, rows) for vector, (field, _) in TRUE_VECTORS.items()}
         return Trajectory(t_ns, p, quat_wxyz, **vectors)
     return Trajectory(t_ns, p, quat_wxyz, _world_velocity([cast(PoseMessage, m) for m in messages], quat_wxyz))
 
@@ -60,11 +61,11 @@ def read_bag_frame_truth(bag: BagFile) -> FrameTruth | None:
     return parse_frame_truth(Path(f"{bag.path}:{FRAME_TRUTH_TOPIC}"), message.data)
 
 
-def _vectors(bag: BagFile, topic: str, t_ns: Times) -> Array | None:
+def _vectors(bag: BagFile, topic: str, t_ns: Times, rows: slice) -> Array | None:
     """Return the vectors (N, 3) of a topic at the given times (N,) [ns], None if the topic is missing."""
     if bag.topics.get(topic) != "geometry_msgs/msg/Vector3Stamped":
         return None
-    times, messages = bag.stamped_messages(topic)
+    times, messages = bag.stamped_messages(topic, rows)
     if not np.array_equal(times, t_ns):
         raise bag.error(f"{topic}: other time stamps than {TRUTH_TOPIC}", "equal time stamps")
     stamped = [cast("ros.geometry_msgs__msg__Vector3Stamped", message).vector for message in messages]
