@@ -12,7 +12,13 @@ from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.image_sets.image_set import FocalSource, Image, ImageSet, Indices
 from dronevio.models.image_sets.intrinsics import initial_camera
 from dronevio.models.image_sets.masks import find_masks
-from dronevio.models.image_sets.photos import PHOTO_SUFFIXES, PhotoHeader, read_photo, read_photo_header
+from dronevio.models.image_sets.photos import (
+    PHOTO_SUFFIXES,
+    PhotoHeader,
+    read_photo,
+    read_photo_header,
+    significant_bits_of_photos,
+)
 from dronevio.models.lenses.lens import LensName
 
 CameraSharing = Literal["shared", "per-image"]
@@ -29,6 +35,8 @@ class PhotoFiles:
     """(I,) Index of the camera of each image."""
     cameras: tuple[CameraModel, ...]
     """Camera models, which have the sizes of the images."""
+    bits: tuple[int, ...]
+    """(I,) Significant bits of each image, 8 to 16, of which the upper 8 are returned."""
 
     def __call__(self, index: int) -> Image:
         """Return the image with a given index: grey (H, W), or red, green and blue (H, W, 3).
@@ -37,7 +45,7 @@ class PhotoFiles:
             InputError: The file is missing, damaged, or has another size than its camera.
         """
         camera = self.cameras[self.image_camera[index]]
-        return read_photo(self.files[index], camera.width, camera.height)
+        return read_photo(self.files[index], camera.width, camera.height, self.bits[index])
 
 
 def image_folder(
@@ -88,7 +96,7 @@ def image_folder(
         t_ns=None,
         frame=None,
         Ts_imu_cam=None,
-        read=PhotoFiles(files, image_camera, cameras),
+        read=PhotoFiles(files, image_camera, cameras, _significant_bits(files, headers)),
         read_mask=find_masks(mask_path, names, image_camera, cameras),
         focal_source=sources,
     )
@@ -144,6 +152,15 @@ def _initial_cameras(
     initial = [initial_camera(header.width, header.height, header.exif, lens) for _, header in unique]
     image_camera = np.array([unique[key] for key in keys], dtype=np.int64)
     return image_camera, tuple(model for model, _ in initial), tuple(source for _, source in initial)
+
+
+def _significant_bits(files: tuple[Path, ...], headers: list[PhotoHeader]) -> tuple[int, ...]:
+    """Return the significant bits of each image, found once for all images of the same size and EXIF data."""
+    groups: dict[PhotoHeader, list[Path]] = {}
+    for file, header in zip(files, headers, strict=True):
+        groups.setdefault(header, []).append(file)
+    bits = {header: significant_bits_of_photos(group) if header.is_deep else 8 for header, group in groups.items()}
+    return tuple(bits[header] for header in headers)
 
 
 def _check_sizes(files: tuple[Path, ...], headers: list[PhotoHeader], model: CameraModel) -> None:

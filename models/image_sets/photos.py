@@ -1,13 +1,13 @@
 """Image files: their size, EXIF data and pixels.
 
 Pixels are returned as they are stored in the file; the orientation for display in EXIF data is ignored, as COLMAP
-does, so that pixel coordinates and camera models refer to the sensor. Of 16 bits per channel the upper 8 are returned.
-An alpha channel is dropped.
+does, so that pixel coordinates and camera models refer to the sensor. Images of 16 bits per channel are scaled to 8 by
+the range that occurs in those of their camera (`dronevio.models.recordings.bit_depth`). An alpha channel is dropped.
 """
 
 import warnings
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -17,9 +17,11 @@ import numpy as np
 from dronevio.models.errors import InputError
 from dronevio.models.image_sets.image_set import Image
 from dronevio.models.image_sets.intrinsics import ExifCamera, exif_camera
+from dronevio.models.recordings.bit_depth import MAX_BITS, DeepImage, significant_bits, spread, to_8bit
 
 if TYPE_CHECKING:
     from PIL import Image as PillowImage
+    from PIL.ImageFile import ImageFile
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
 """Suffixes of image files, in lower case."""
@@ -42,6 +44,8 @@ class PhotoHeader:
     """Number of rows of the stored image [px]."""
     exif: ExifCamera
     """Properties of camera and lens in the EXIF data."""
+    is_deep: bool = False
+    """Whether the image has 16 bits per channel."""
 
 
 def read_photo_header(path: Path) -> PhotoHeader:
@@ -55,17 +59,35 @@ def read_photo_header(path: Path) -> PhotoHeader:
         return _decoded(path, _header)
 
 
-def read_photo(path: Path, width: int | None = None, height: int | None = None) -> Image:
+def read_photo(path: Path, width: int | None = None, height: int | None = None, bits: int = MAX_BITS) -> Image:
     """Return the pixels of an image file: grey (H, W), or red, green and blue (H, W, 3).
 
     Args:
         path: The file.
         width: Expected number of columns [px], None for any.
         height: Expected number of rows [px], None for any.
+        bits: Significant bits of the camera's images of 16 bits per channel.
 
     Raises:
         InputError: The file is missing, damaged, not a supported image, or has another size.
     """
+    return to_8bit(_read_deep(path, width, height), bits)
+
+
+def significant_bits_of_photos(files: Sequence[Path]) -> int:
+    """Return the significant bits, 8 to 16, of the channels of images of one camera, from some that can be read."""
+    return significant_bits(_readable(spread(files)))
+
+
+def _readable(files: Sequence[Path]) -> Iterator[DeepImage]:
+    """Yield the pixels of the files that can be read."""
+    for file in files:
+        with suppress(InputError):
+            yield _read_deep(file)
+
+
+def _read_deep(path: Path, width: int | None = None, height: int | None = None) -> DeepImage:
+    """Return the pixels of an image file with 8 or 16 bits per channel, as `read_photo` does."""
     image = _decoded(path, _pixels)
     if image is None:
         raise InputError(path, "an image with 32 bits per channel", "8 or 16 bits per channel")
@@ -75,13 +97,13 @@ def read_photo(path: Path, width: int | None = None, height: int | None = None) 
     return image
 
 
-def _decoded(path: Path, function: "Callable[[PillowImage.Image], Result]") -> Result:
+def _decoded(path: Path, function: "Callable[[ImageFile], Result]") -> Result:
     """Return the result of a function of an opened image file, or raise InputError."""
     from PIL import Image as PillowImage
     from PIL import UnidentifiedImageError
 
     try:
-        opened: AbstractContextManager[PillowImage.Image] = PillowImage.open(path, formats=_FORMATS)
+        opened: AbstractContextManager[ImageFile] = PillowImage.open(path, formats=_FORMATS)
         with opened as image:
             return function(image)
     except FileNotFoundError:
@@ -92,12 +114,17 @@ def _decoded(path: Path, function: "Callable[[PillowImage.Image], Result]") -> R
         raise InputError(path, f"an image that cannot be decoded ({error})", _EXPECTED) from None
 
 
-def _header(image: "PillowImage.Image") -> PhotoHeader:
+def _header(image: "ImageFile") -> PhotoHeader:
     """Return size and EXIF data of an opened image."""
-    width, height = image.size
+    (width, height), is_deep = image.size, _is_deep(image)  # before the EXIF data, for which Pillow loads a PNG
     if _tiff_orientation(image) in _SIDEWAYS:
         width, height = height, width
-    return PhotoHeader(width, height, exif_camera(_exif_tags(image)))
+    return PhotoHeader(width, height, exif_camera(_exif_tags(image)), is_deep)
+
+
+def _is_deep(image: "ImageFile") -> bool:
+    """Return whether an opened image, not yet loaded, has 16 bits per channel in its file."""
+    return any("16" in str(tile[3]) for tile in image.tile)
 
 
 def _exif_tags(image: "PillowImage.Image") -> dict[int, object]:
@@ -114,7 +141,7 @@ def _tiff_orientation(image: "PillowImage.Image") -> int:
     return int(image.getexif().get(_ORIENTATION, 1)) if image.format == "TIFF" else 1
 
 
-def _pixels(image: "PillowImage.Image") -> Image | None:
+def _pixels(image: "ImageFile") -> DeepImage | None:
     """Return the pixels (H, W) or (H, W, 3) of an opened image as stored, None for 32 bits per channel."""
     from PIL.Image import Transpose
 
@@ -127,12 +154,18 @@ def _pixels(image: "PillowImage.Image") -> Image | None:
         7: Transpose.TRANSVERSE,
         8: Transpose.ROTATE_270,
     }.get(_tiff_orientation(image))
+    if image.mode in ("RGB", "RGBA") and inverse is None and _is_deep(image):  # of which Pillow keeps the upper 8 bits
+        import cv2
+
+        deep = cv2.imdecode(np.fromfile(image.filename, np.uint8), cv2.IMREAD_UNCHANGED)  # ignores the orientation
+        if deep is not None and deep.dtype == np.uint16:
+            return np.ascontiguousarray(deep[..., 2::-1], np.uint16)  # blue, green, red and alpha
     image.load()
-    stored = image if inverse is None else image.transpose(inverse)
+    stored: PillowImage.Image = image if inverse is None else image.transpose(inverse)
     if stored.mode in ("I", "F"):
         return None
     if stored.mode.startswith("I;16"):
-        return (np.asarray(stored).astype(np.uint16) >> 8).astype(np.uint8)
+        return np.asarray(stored).astype(np.uint16)
     if stored.mode in ("La", "RGBa"):  # colours multiplied by alpha
         stored = stored.convert(stored.mode.upper())
     mode = "L" if stored.mode in ("1", "L", "LA") else "RGB"

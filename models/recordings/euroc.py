@@ -7,7 +7,7 @@ vehicle datasets", IJRR 2016.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import reduce
+from functools import cached_property, reduce
 from pathlib import Path
 from typing import Self
 
@@ -29,7 +29,7 @@ from dronevio.models.recordings.exported import increments_of_means, interval_me
 from dronevio.models.recordings.files import write_text
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text, read_frame_truth
 from dronevio.models.recordings.image_list import ImageList
-from dronevio.models.recordings.images import DamagedImageError, encode_png, read_grey
+from dronevio.models.recordings.images import DamagedImageError, encode_png, read_grey, significant_bits_of_files
 from dronevio.models.recordings.repair import (
     ABSENT,
     imu_defects,
@@ -152,6 +152,14 @@ class EurocRecording:
         ]
         return replace(segments[0], later=tuple(segments[1:]))
 
+    @cached_property
+    def image_bits(self) -> tuple[int, ...]:
+        """Significant bits of the images of each camera, 8 to 16, of which a frame has the upper 8."""
+        return tuple(
+            significant_bits_of_files([file for file in files if file], camera.model.width, camera.model.height)
+            for files, camera in zip(self.image_files, self.rig.cameras, strict=True)
+        )
+
     def frame(self, index: int) -> CameraFrame:
         """Return the frame with a given index, 0 ≤ index < M.
 
@@ -162,11 +170,11 @@ class EurocRecording:
         t_ns = int(self.frame_times_ns[index])
         images: list[npt.NDArray[np.uint8]] = []
         defects: list[Defect] = []
-        for files, camera in zip(self.image_files, self.rig.cameras, strict=True):
+        for files, camera, bits in zip(self.image_files, self.rig.cameras, self.image_bits, strict=True):
             file, image = files[index], NO_IMAGE
             try:
                 if file is not None:
-                    image = read_grey(file, camera.model.width, camera.model.height)
+                    image = read_grey(file, camera.model.width, camera.model.height, bits)
             except DamagedImageError as error:
                 if not self.repair:
                     raise

@@ -1,12 +1,14 @@
 """Reading and writing of grey images; damaged files are refused."""
 
 import zlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import InputError
+from dronevio.models.recordings.bit_depth import MAX_BITS, DeepImage, significant_bits, spread, to_8bit
 
 Image = npt.NDArray[np.uint8]
 
@@ -24,24 +26,75 @@ _FRAME_HEADERS = set(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # SOF0 to SOF15 wi
 _JPEG_HEADER_BYTES = 9  # of a frame header, up to the width
 
 
-def read_grey(path: Path, width: int, height: int) -> Image:
+def read_grey(path: Path, width: int, height: int, bits: int = MAX_BITS) -> Image:
     """Return the grey image (height, width) in a file.
+
+    Args:
+        path: The file.
+        width: Expected number of columns [px].
+        height: Expected number of rows [px].
+        bits: Significant bits of the camera's images of 16 bits; see `significant_bits_of_files`.
 
     Raises:
         DamagedImageError: The file is missing, damaged or not an image.
         InputError: The image has another size.
     """
+    return decode_grey(path, _read_bytes(path, width, height), width, height, bits=bits)
+
+
+def significant_bits_of_files(files: Sequence[Path], width: int, height: int) -> int:
+    """Return the significant bits, 8 to 16, of the images of one camera, from some of its files.
+
+    Args:
+        files: The files, of which those that cannot be read are not considered.
+        width: Expected number of columns [px].
+        height: Expected number of rows [px].
+    """
+    return significant_bits(_deep_images(spread(files), width, height))
+
+
+def _deep_images(files: Sequence[Path], width: int, height: int) -> Iterator[DeepImage]:
+    """Yield the images of files that can be read, up to the first of 8 bits."""
+    for file in files:
+        try:
+            image = decode_deep_grey(file, _read_bytes(file, width, height), width, height)
+        except InputError:
+            continue
+        if image.dtype == np.uint8:
+            return
+        yield image
+
+
+def _read_bytes(path: Path, width: int, height: int) -> bytes:
+    """Return the content of a file, or raise DamagedImageError."""
     try:
-        data = path.read_bytes()
+        return path.read_bytes()
     except FileNotFoundError:
         raise DamagedImageError(path, "no such file", _expected(width, height)) from None
     except OSError as error:
         raise DamagedImageError(path, f"cannot be read ({error.strerror})", _expected(width, height)) from None
-    return decode_grey(path, data, width, height)
 
 
-def decode_grey(path: Path, data: bytes, width: int, height: int, where: str = "") -> Image:
+def decode_grey(path: Path, data: bytes, width: int, height: int, where: str = "", bits: int = MAX_BITS) -> Image:
     """Return the grey image (height, width) of encoded data, such as PNG or JPEG.
+
+    Args:
+        path: The file that contains the data, for error messages.
+        data: The encoded image.
+        width: Expected number of columns [px].
+        height: Expected number of rows [px].
+        where: Place of the image in the file, for error messages, with a colon and a space at its end.
+        bits: Significant bits of the camera's images of 16 bits; see `dronevio.models.recordings.bit_depth`.
+
+    Raises:
+        DamagedImageError: The data are damaged or not an image.
+        InputError: The image has another size.
+    """
+    return to_8bit(decode_deep_grey(path, data, width, height, where), bits)
+
+
+def decode_deep_grey(path: Path, data: bytes, width: int, height: int, where: str = "") -> DeepImage:
+    """Return the grey image (height, width) of encoded data with 8 or 16 bits, as it is stored.
 
     Args:
         path: The file that contains the data, for error messages.
@@ -65,7 +118,7 @@ def decode_grey(path: Path, data: bytes, width: int, height: int, where: str = "
         # before memory for the pixels is allocated
         raise InputError(path, f"{where}an image of {found[0]} × {found[1]} px", expected)
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     except cv2.error as error:  # more pixels than OpenCV allows, for example
         reason = str(error.err or "").strip() or "of a kind that OpenCV refuses"
         raise DamagedImageError(path, f"{where}an image that cannot be decoded ({reason})", expected) from None
@@ -73,7 +126,11 @@ def decode_grey(path: Path, data: bytes, width: int, height: int, where: str = "
         raise DamagedImageError(path, f"{where}data that cannot be decoded", expected)
     if image.shape != (height, width):
         raise InputError(path, f"{where}an image of {image.shape[1]} × {image.shape[0]} px", expected)
-    return np.asarray(image, dtype=np.uint8)
+    if image.dtype == np.uint8:
+        return np.asarray(image, np.uint8)
+    if image.dtype != np.uint16:
+        raise InputError(path, f"{where}an image of type {image.dtype}", "8 or 16 bits without a sign")
+    return np.asarray(image, np.uint16)
 
 
 def encoded_size(data: bytes) -> tuple[int, int] | None:
