@@ -6,6 +6,7 @@ an unknown translation, s and k have one value at which all features of a pair o
 For a calibrated lens, that is s = 1 and k = 0. The two also say what is wrong: s a focal length, k a distortion.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -21,9 +22,9 @@ MAX_FLOWS = 80
 """Number of pairs of images that are used: those with the largest rotations."""
 MIN_FLOWS = 10
 """Smallest number of pairs for a result."""
-GRID_SCALES = np.linspace(0.6, 1.6, 21)
-"""Scales at which the search begins."""
-STEPS = 12
+GRID_SCALES, GRID_CUBICS = np.linspace(0.6, 1.6, 11), (-0.3, -0.15, 0.0, 0.15, 0.3)
+"""Scales s and cubic changes k [1/rad²] at which the search begins."""
+STEPS = 24
 """Number of steps of the search, of which each halves the interval."""
 
 
@@ -60,8 +61,8 @@ def check_lens(flows: Sequence[Flow], rotations: Array, pixel_rad: float) -> Len
     def cost(scale: float, cubic: float) -> float:
         return pairs.cost(scale, cubic, pixel_rad)
 
-    scale = float(GRID_SCALES[np.argmin([cost(s, 0.0) for s in GRID_SCALES])])
-    cubic, steps = 0.0, np.array([0.05, 0.1])
+    scale, cubic = min(itertools.product(GRID_SCALES, GRID_CUBICS), key=lambda change: cost(*change))
+    steps = np.array([0.05, 0.07])
     best = cost(scale, cubic)
     for _ in range(STEPS):  # pattern search: the cost is smooth, and has one minimum near the start
         for ds, dk in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, -1), (-1, 1), (1, 1), (-1, -1)):

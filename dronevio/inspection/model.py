@@ -109,6 +109,18 @@ class Inspection:
         }
 
 
+def graded(value: float, doubtful: float, wrong: float) -> Verdict:
+    """Return the verdict on a value that should be small: good up to a limit, wrong beyond another one."""
+    if not value > doubtful:
+        return Verdict.GOOD
+    return Verdict.WRONG if value > wrong else Verdict.DOUBTFUL
+
+
+def more_severe(*verdicts: Verdict) -> Verdict:
+    """Return the most severe of some verdicts."""
+    return max(verdicts, key=[Verdict.GOOD, Verdict.UNKNOWN, Verdict.DOUBTFUL, Verdict.WRONG].index)
+
+
 def worst(findings: Sequence[Finding]) -> Verdict:
     """Return the worst verdict of some rows; good without any."""
     found = {finding.verdict for finding in findings}

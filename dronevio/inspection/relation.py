@@ -64,6 +64,11 @@ class Gyroscope:
         means = later if imu.sampling == "increment" else 0.5 * (later + earlier)
         self._angle = np.concatenate([np.zeros((1, 3)), np.cumsum(means * steps, axis=0)])
 
+    @property
+    def resting_rate_rad_s(self) -> Array:
+        """(3,) Median rate of all intervals between samples, about the bias of a gyroscope that turns to both sides."""
+        return np.asarray(np.median(np.diff(self._angle, axis=0) / np.diff(self._t_s)[:, None], axis=0))
+
     def rates(self, intervals: Rotations, offset_s: float) -> Array:
         """Return the mean rates (P, 3) over intervals that are shifted by an offset [rad/s]; NaN outside."""
         ends = []

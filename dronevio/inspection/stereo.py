@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.calibration.image_rotation import relative_rotation
 from dronevio.inspection.flow import Flow
 from dronevio.models.rig import RigCamera
-from dronevio.models.rotation import cross, exp_so3, inverse_pose, log_so3
+from dronevio.models.rotation import cross, inverse_pose, log_so3
 
 Array = npt.NDArray[np.float64]
 
@@ -51,8 +51,9 @@ def check_stereo(flows: Sequence[Flow], first: RigCamera, second: RigCamera) -> 
         return None
     f0, f1 = (np.concatenate([flow.bearings[k] for flow in flows]) for k in (0, 1))
     pixel_rad = 1.0 / second.model.fx
-    phi, _ = relative_rotation(f0[:, :2] / f0[:, 2:], f1[:, :2] / f1[:, 2:])
-    R_free = exp_so3(phi).T  # of the first camera in the second
+    R_free = _free_rotation(f0[:, :2] / f0[:, 2:], f1[:, :2] / f1[:, 2:], NEAR_PX * pixel_rad)
+    if R_free is None:
+        return None
     free = _free_errors(f0 @ R_free.T, f1)
     if np.mean(free < NEAR_PX * pixel_rad) < MIN_AGREEMENT:
         return None
@@ -72,6 +73,14 @@ def check_stereo(flows: Sequence[Flow], first: RigCamera, second: RigCamera) -> 
         float(np.mean(behind)) if len(behind) >= MIN_MATCHES // 2 else float("nan"),
         len(f0),
     )
+
+
+def _free_rotation(xy0: Array, xy1: Array, threshold: float) -> Array | None:
+    """Return the rotation (3, 3) of the first camera in the second that agrees best, by five matches at a time."""
+    E, inliers = cv2.findEssentialMat(xy0, xy1, np.eye(3), cv2.RANSAC, prob=0.999, threshold=threshold)
+    if E is None or E.shape != (3, 3):
+        return None
+    return np.asarray(cv2.recoverPose(E, xy0, xy1, np.eye(3), mask=inliers)[1], np.float64)
 
 
 def _free_errors(turned: Array, f1: Array) -> Array:
