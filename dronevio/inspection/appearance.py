@@ -61,7 +61,9 @@ def edge_blur_px(image: Image) -> float:
     edges = steep >= limit
     if not edges.any():
         return float("nan")
-    ratio = float(np.median(steep[edges] / np.maximum(_gradient(cv2.GaussianBlur(smooth, (0, 0), REBLUR_PX))[edges], 1e-6)))
+    ratio = float(
+        np.median(steep[edges] / np.maximum(_gradient(cv2.GaussianBlur(smooth, (0, 0), REBLUR_PX))[edges], 1e-6))
+    )
     total = REBLUR_PX**2 / max(ratio**2 - 1.0, 1e-3)
     return float(np.sqrt(max(total - PREFILTER_PX**2, 0.0)))
 

@@ -105,7 +105,9 @@ def _rotation(measured: Measured) -> Iterator[Finding]:
     limit = max(DOUBTFUL_ROTATION_DEG * (2.0 if lens_is_wrong else 1.0), SIGMAS * sigma_deg)
     verdict = graded(difference, limit, max(WRONG_ROTATION_DEG, limit))
     x, y, z = np.degrees(log_so3(R_cam_imu.T)).tolist()
-    found = f"{difference:.1f} ± {sigma_deg:.1f}° from the calibration; the motion shows R_imu_cam = exp({x:.1f}, {y:.1f},"
+    found = (
+        f"{difference:.1f} ± {sigma_deg:.1f}° from the calibration; the motion shows R_imu_cam = exp({x:.1f}, {y:.1f},"
+    )
     found += f" {z:.1f})°"
     advice = "" if verdict is Verdict.GOOD else "correct the rotation of T_imu_cam (T_BS, T_cam_imu) as stated"
     mirror = _mirror(error, difference)
@@ -129,7 +131,10 @@ def _mirror(error: Array, difference_deg: float) -> str:
 
 def _stereo(index: int, check: StereoCheck | None) -> Iterator[Finding]:
     """Yield whether a further camera agrees with the first one."""
-    name, expected = f"pose of cam{index} and cam0", f"matches within {DOUBTFUL_EPIPOLAR_PX:g} px of their epipolar lines"
+    name, expected = (
+        f"pose of cam{index} and cam0",
+        f"matches within {DOUBTFUL_EPIPOLAR_PX:g} px of their epipolar lines",
+    )
     if check is None:
         why = "no view in common, or too few features"
         yield Finding(Topic.CALIBRATION, name, None, Verdict.UNKNOWN, why, expected)

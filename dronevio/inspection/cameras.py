@@ -65,7 +65,13 @@ def _stamps(measured: Measured) -> Iterator[Finding]:
     t_ns: Times = measured.recording.frame_times_ns
     if len(t_ns) < 3:
         yield Finding(
-            Topic.CAMERAS, "rate", None, Verdict.WRONG, f"{len(t_ns)} frames", "a second of video or more", "record more"
+            Topic.CAMERAS,
+            "rate",
+            None,
+            Verdict.WRONG,
+            f"{len(t_ns)} frames",
+            "a second of video or more",
+            "record more",
         )
         return
     intervals_s = np.diff(t_ns) * 1e-9
@@ -96,7 +102,9 @@ def _stamps(measured: Measured) -> Iterator[Finding]:
         else "none",
         f"no gap beyond {DOUBTFUL_GAP_S:g} s, after which a moving camera sees other features, and at most"
         f" {100 * MAX_MISSING:.0f} % missing",
-        "" if verdict is Verdict.GOOD else "look for dropped frames: a slow disk, a full link, or a recorder that stalls",
+        ""
+        if verdict is Verdict.GOOD
+        else "look for dropped frames: a slow disk, a full link, or a recorder that stalls",
     )
     even = intervals_s[~gaps]
     jitter_s = 1.4826 * float(np.median(np.abs(even - np.median(even))))
@@ -150,7 +158,8 @@ def _appearance(measured: Measured) -> Iterator[Finding]:
         "clipped pixels",
         clipped[worst],
         verdict,
-        f"{100 * clipped[worst]:.1f} % of the pixels are black or white" + (f" in {names[worst]}" if len(names) > 1 else ""),
+        f"{100 * clipped[worst]:.1f} % of the pixels are black or white"
+        + (f" in {names[worst]}" if len(names) > 1 else ""),
         f"less than {100 * MAX_CLIPPED:.0f} %, since clipped pixels hold no features",
         "" if verdict is Verdict.GOOD else "let the camera expose automatically",
     )
@@ -239,4 +248,3 @@ def _features(measured: Measured) -> Iterator[Finding]:
         f"less than {limit:.0f} px, a tenth of the width, so that features stay for some images",
         "" if typical < limit else "use a higher frame rate",
     )
-

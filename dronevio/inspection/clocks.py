@@ -102,5 +102,3 @@ def _unknown(name: str, expected: str, why: str = "images and gyroscope do not a
 def _milliseconds(offset_s: float) -> str:
     """Return an offset in words: t_imu = t_cam + offset, so that a positive one means early stamps of the images."""
     return f"{abs(1e3 * offset_s):.1f} ms {'early' if offset_s > 0.0 else 'late'}"
-
-

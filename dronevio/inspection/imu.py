@@ -208,7 +208,8 @@ def _values(measured: Measured) -> Iterator[Finding]:
         "gravity",
         gravity,
         verdict,
-        f"the mean specific force is {gravity:.3f} m/s²" + (f", as it is in {unit}" if unit and deviation > 0.2 else ""),
+        f"the mean specific force is {gravity:.3f} m/s²"
+        + (f", as it is in {unit}" if unit and deviation > 0.2 else ""),
         f"{GRAVITY_M_S2} m/s² within {100 * GRAVITY_TOLERANCE:.0f} %, more than accelerometers err by",
         ""
         if verdict is Verdict.GOOD
@@ -322,7 +323,9 @@ def _noise(measured: Measured, rest: Sequence[ImuSamples], allan: AllanDeviation
         return Finding(Topic.IMU, "noise at rest", None, Verdict.UNKNOWN, text, expected)
     gyro, accel = allan.density()
     ratios = [
-        found / given for found, given in ((gyro, model.gyro_noise_density), (accel, model.accel_noise_density)) if given
+        found / given
+        for found, given in ((gyro, model.gyro_noise_density), (accel, model.accel_noise_density))
+        if given
     ]
     ratio = max(ratios, default=1.0)
     verdict = graded(ratio, MAX_NOISE_RATIO, np.inf)

@@ -143,9 +143,7 @@ def spread_of_axes(imu: ImuSamples, bias_rad_s: Array) -> Array:
         imu: Samples over a second or more.
         bias_rad_s: (3,) Bias of the gyroscope.
     """
-    return np.array(
-        [np.mean([force.var(axis=0).sum() for force in _levelled(imu, bias_rad_s, axes)]) for axes in AXES]
-    )
+    return np.array([np.mean([force.var(axis=0).sum() for force in _levelled(imu, bias_rad_s, axes)]) for axes in AXES])
 
 
 def _levelled(imu: ImuSamples, bias_rad_s: Array, axes: Array) -> list[Array]:

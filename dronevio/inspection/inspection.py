@@ -43,9 +43,7 @@ def inspect(recording: Recording | str | Path, *, run: bool = False, progress: S
         InputError: The recording cannot be read at all.
         ConfigError: The argument is of another type.
     """
-    source: Recording = (
-        open_recording(Path(recording), repair=True) if isinstance(recording, str | Path) else recording
-    )
+    source: Recording = open_recording(Path(recording), repair=True) if isinstance(recording, str | Path) else recording
     if not hasattr(source, "rig"):
         raise ConfigError(f"inspect() of {type(source).__name__}; expected a recording or its path")
     segments = [source, *getattr(source, "later", ())]
@@ -69,9 +67,7 @@ def _inspection(measured: Measured, run: EstimatorRun | None, source: Recording)
     rest_ns = tuple(resting(imu, bias))
     rest = [_between(imu, *each) for each in rest_ns]
     longest = max(rest, key=len, default=None)
-    details = Details(
-        measured, rest_ns, spectrum_of(imu), None if longest is None else allan_deviation(longest), run
-    )
+    details = Details(measured, rest_ns, spectrum_of(imu), None if longest is None else allan_deviation(longest), run)
     findings = [
         *camera_findings(measured),
         *imu_findings(measured, rest, details.spectrum, details.allan),

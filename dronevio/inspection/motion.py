@@ -9,7 +9,6 @@ from dronevio.inspection.model import Finding, Topic, Verdict
 from dronevio.models.imu import Times
 
 
-
 def motion_findings(measured: Measured, rest_ns: Sequence[tuple[int, int]]) -> Iterator[Finding]:
     """Yield the findings about the motion.
 

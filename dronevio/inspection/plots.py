@@ -17,6 +17,8 @@ from dronevio.models.imu import ImuSamples, Times
 
 Array = npt.NDArray[np.float64]
 
+MIN_WEIGHT = 0.2
+"""Weight of a rotation of the images below which it is drawn as an outlier."""
 _CURVE_POINTS = 1200
 
 
@@ -29,10 +31,14 @@ def draw_rotation(ax: Axes, measured: Measured, axis: int) -> None:
         half_ns = int(np.median(rotations.end_ns - rotations.start_ns)) // 2
         smooth = Rotations(t_ns - half_ns, t_ns + half_ns, np.zeros((len(t_ns), 3)))
         rates = np.degrees(relation.predicted(gyroscope, smooth)[:, axis])
-        ax.plot((t_ns - origin_ns) * 1e-9, rates, color=colours.SIGMA, linewidth=1.6, label="gyroscope, moved and turned")
+        ax.plot(
+            (t_ns - origin_ns) * 1e-9, rates, color=colours.SIGMA, linewidth=1.6, label="gyroscope, moved and turned"
+        )
     middle_s = (0.5 * (rotations.start_ns + rotations.end_ns) - origin_ns) * 1e-9
     rates = np.degrees(rotations.rate_rad_s[:, axis])
-    ax.plot(middle_s, rates, ".", color=colours.ESTIMATE, markersize=3.0, label="images")
+    sure = np.ones(len(rates), np.bool_) if relation is None else relation.weights > MIN_WEIGHT
+    ax.plot(middle_s[~sure], rates[~sure], ".", color=colours.SURROUNDINGS, markersize=2.0, label="left out")
+    ax.plot(middle_s[sure], rates[sure], ".", color=colours.ESTIMATE, markersize=3.0, label="images")
     low, high = np.percentile(rates, [1, 99]) if len(rates) else (-1.0, 1.0)
     margin = 0.3 * (high - low) + 1.0
     ax.set_ylim(low - margin, high + margin)
@@ -44,7 +50,9 @@ def draw_offset_search(ax: Axes, relation: Relation, calibrated_s: float) -> Non
     """Draw the share of the rotation of the images that the gyroscope explains, at all offsets."""
     ax.plot(1e3 * relation.offsets_s, 100.0 * relation.curve, color=colours.SECOND)
     ax.axvline(1e3 * calibrated_s, color=INK, linewidth=0.8, linestyle="--", label="calibrated")
-    ax.plot(1e3 * relation.offset_s, 100.0 * relation.agreement, "o", color=colours.ESTIMATE, markersize=5, label="found")
+    ax.plot(
+        1e3 * relation.offset_s, 100.0 * relation.agreement, "o", color=colours.ESTIMATE, markersize=5, label="found"
+    )
     ax.set(title="Agreement by time offset", xlabel="offset of the images [ms]", ylabel="explained rotation [%]")
     ax.set_ylim(0.0, 104.0)
 
@@ -52,7 +60,13 @@ def draw_offset_search(ax: Axes, relation: Relation, calibrated_s: float) -> Non
 def draw_offset_course(ax: Axes, course: OffsetCourse) -> None:
     """Draw the offset in sections of the recording with 2σ bars."""
     ax.errorbar(
-        course.t_s, 1e3 * course.offset_s, 2e3 * course.sigma_s, fmt="o", color=colours.ESTIMATE, markersize=4, capsize=2
+        course.t_s,
+        1e3 * course.offset_s,
+        2e3 * course.sigma_s,
+        fmt="o",
+        color=colours.ESTIMATE,
+        markersize=4,
+        capsize=2,
     )
     middle, reach = 1e3 * float(np.median(course.offset_s)), 1e3 * float(np.ptp(course.offset_s)) + 5.0
     ax.set_ylim(middle - reach, middle + reach)
@@ -76,7 +90,11 @@ def draw_imu(ax: Axes, imu: ImuSamples, values: Array, rest_ns: Sequence[tuple[i
         ax.fill_between(seconds, low, high, color=colour, alpha=0.25, linewidth=0.0)
         ax.plot(seconds, mean, color=colour, linewidth=0.9, label="xyz"[axis])
     title = "Gyroscope" if unit == "°/s" else "Accelerometer"
-    ax.set(title=f"{title}: means and extremes", xlabel="time [s]", ylabel=f"{'rate' if unit == '°/s' else 'force'} [{unit}]")
+    ax.set(
+        title=f"{title}: means and extremes",
+        xlabel="time [s]",
+        ylabel=f"{'rate' if unit == '°/s' else 'force'} [{unit}]",
+    )
     ax.margins(x=0.01)
 
 
@@ -122,7 +140,9 @@ def draw_intervals(ax: Axes, frames_ns: Times, imu_ns: Times) -> None:
         starts = np.arange(0, len(intervals_ms), step)
         for reduce in (np.minimum, np.maximum) if step > 1 else (np.maximum,):
             shown = reduce.reduceat(intervals_ms, starts)
-            ax.plot(seconds[starts], shown, ".", color=colour, markersize=2.5, label=label if reduce is np.maximum else None)
+            ax.plot(
+                seconds[starts], shown, ".", color=colour, markersize=2.5, label=label if reduce is np.maximum else None
+            )
         everything.append(intervals_ms)
     both = np.concatenate(everything)
     set_log_scale(ax, "y", 0.5 * float(both.min()), 2.0 * float(both.max()))
@@ -130,7 +150,9 @@ def draw_intervals(ax: Axes, frames_ns: Times, imu_ns: Times) -> None:
     ax.margins(x=0.01)
 
 
-def draw_appearance(ax: Axes, times_ns: Sequence[Sequence[int]], of: Sequence[Sequence[Appearance]], blur: bool) -> None:
+def draw_appearance(
+    ax: Axes, times_ns: Sequence[Sequence[int]], of: Sequence[Sequence[Appearance]], blur: bool
+) -> None:
     """Draw the brightness or the blur of the images of each camera over time."""
     origin_ns = min(t[0] for t in times_ns if t)
     for k, (t_ns, values) in enumerate(zip(times_ns, of, strict=True)):
@@ -139,7 +161,9 @@ def draw_appearance(ax: Axes, times_ns: Sequence[Sequence[int]], of: Sequence[Se
         seconds = (np.array(t_ns, dtype=np.int64) - origin_ns) * 1e-9
         colour = colours.ESTIMATORS[k % len(colours.ESTIMATORS)]
         if blur:
-            ax.plot(seconds, [v.blur_px for v in values], ".-", color=colour, markersize=4, linewidth=0.7, label=f"cam{k}")
+            ax.plot(
+                seconds, [v.blur_px for v in values], ".-", color=colour, markersize=4, linewidth=0.7, label=f"cam{k}"
+            )
             continue
         mean, spread = np.array([v.mean for v in values]), np.array([v.spread for v in values])
         ax.plot(seconds, mean, ".-", color=colour, markersize=4, linewidth=0.7, label=f"cam{k}, mean")
@@ -150,4 +174,3 @@ def draw_appearance(ax: Axes, times_ns: Sequence[Sequence[int]], of: Sequence[Se
     else:
         ax.set(title="Brightness of the images", xlabel="time [s]", ylabel="grey level")
         ax.set_ylim(0.0, 260.0)
-

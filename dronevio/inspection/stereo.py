@@ -60,7 +60,9 @@ def check_stereo(flows: Sequence[Flow], first: RigCamera, second: RigCamera) -> 
     T = inverse_pose(second.T_imu_cam) @ first.T_imu_cam
     R, t = T[:3, :3], T[:3, 3]
     turned, direction = f0 @ R.T, t / max(float(np.linalg.norm(t)), 1e-12)
-    errors = np.abs(cross(turned, f1) @ direction) / np.maximum(np.linalg.norm(cross(turned, direction[None]), axis=1), 1e-3)
+    errors = np.abs(cross(turned, f1) @ direction) / np.maximum(
+        np.linalg.norm(cross(turned, direction[None]), axis=1), 1e-3
+    )
     normals = cross(turned, f1)
     has_parallax = np.linalg.norm(normals, axis=1) > PARALLAX_PX * pixel_rad
     depth_first = -np.einsum("ni,ni->n", cross(direction[None], f1), normals)

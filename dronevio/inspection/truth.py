@@ -34,7 +34,9 @@ def truth_findings(measured: Measured) -> Iterator[Finding]:
     rate = 1.0 / float(np.median(intervals_s))
     frames = recording.frame_times_ns
     inside = float(np.mean((frames >= truth.t_ns[0]) & (frames <= truth.t_ns[-1]))) if len(frames) else 1.0
-    verdict = Verdict.WRONG if inside == 0.0 else Verdict.DOUBTFUL if inside < 0.5 or rate < MIN_RATE_HZ else Verdict.GOOD
+    verdict = (
+        Verdict.WRONG if inside == 0.0 else Verdict.DOUBTFUL if inside < 0.5 or rate < MIN_RATE_HZ else Verdict.GOOD
+    )
     yield Finding(
         Topic.TRUTH,
         "rate",
@@ -79,7 +81,9 @@ def truth_findings(measured: Measured) -> Iterator[Finding]:
         f"the gyroscope explains {100 * relation.agreement:.1f} % of it"
         + (f", turned by {difference_deg:.1f} ± {sigma_deg:.1f}°" if told else ""),
         expected,
-        "" if verdict is Verdict.GOOD else "the ground truth is that of another body, or the gyroscope's axes are wrong",
+        ""
+        if verdict is Verdict.GOOD
+        else "the ground truth is that of another body, or the gyroscope's axes are wrong",
     )
     offset_s = relation.offset_s
     verdict = graded(abs(offset_s), max(DOUBTFUL_OFFSET_S, SIGMAS * relation.offset_sigma_s), WRONG_OFFSET_S)
