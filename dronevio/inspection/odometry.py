@@ -8,8 +8,8 @@ import numpy as np
 
 from dronevio.driver import estimate_recording
 from dronevio.estimator.vio import VisualInertialOdometry
-from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.alignment import align
+from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.run import EstimatorRun
 from dronevio.inspection.model import Finding, Topic, Verdict, graded
 from dronevio.models.imu import ImuSamples, Times
