@@ -219,7 +219,13 @@ class HealthMonitor:
             self._trust.contradict(after.t_ns)
 
     def assess(
-        self, observations: Observations, predicted: NavState, stationary: bool, calibration: Calibration
+        self,
+        observations: Observations,
+        predicted: NavState,
+        stationary: bool,
+        calibration: Calibration,
+        *,
+        has_image: bool = True,
     ) -> HealthReport:
         """Return the health of the estimate at a frame.
 
@@ -228,6 +234,7 @@ class HealthMonitor:
             predicted: The state that the IMU predicts for the frame from the newest keyframe.
             stationary: Whether the vehicle is stationary, which constrains the estimate.
             calibration: The calibration in use.
+            has_image: Whether the frame has an image; one that lacks it says nothing about the landmarks.
         """
         if not _is_finite(predicted):
             self._lost_reason = self._lost_reason or "the state is not finite"
@@ -252,6 +259,8 @@ class HealthMonitor:
             state, reason = Health.TRACKING, f"constrained by {len(rows)} landmarks"
         elif stationary:
             state, reason = Health.TRACKING, "stationary"
+        elif not has_image and inertial_only_s <= self._config.settling_s + 1e-6:
+            state, reason = Health.TRACKING, f"no image for {inertial_only_s:.2f} s"
         elif len(observations) >= self._config.min_landmarks and inertial_only_s <= self._config.settling_s + 1e-6:
             state, reason = Health.TRACKING, "features are tracked and not triangulated yet"
         else:

@@ -22,6 +22,10 @@ from dronevio.models.state import CameraFrame, Estimate
 Array = npt.NDArray[np.float64]
 
 
+CONTRADICTED_SIGMA_RAD = 0.02
+"""Standard deviation of the rotation between frames by a gyroscope that the images contradict [rad]."""
+
+
 class MeasurementPipeline:
     """Takes measurements in time order and returns frame packets."""
 
@@ -49,6 +53,9 @@ class MeasurementPipeline:
         gyro_bias_rad_s: Array,
         gyro_bias_sigma_rad_s: float,
         delay_s: float = 0.0,
+        *,
+        moves: bool = False,
+        contradicted: bool = False,
     ) -> FramePacket:
         """Track the features into a frame and return its packet.
 
@@ -58,6 +65,9 @@ class MeasurementPipeline:
             gyro_bias_rad_s: (3,) Estimate of the gyroscope bias [rad/s].
             gyro_bias_sigma_rad_s: Its standard deviation [rad/s].
             delay_s: How much later than its time stamp the frame was exposed [s].
+            moves: Whether the vehicle is known to move.
+            contradicted: Whether the images contradict the gyroscope, so that it must not decide which features are
+                outliers.
 
         Raises:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
@@ -71,8 +81,9 @@ class MeasurementPipeline:
         self._exposure.begin_frame(increments, ahead, gyro_bias_rad_s)
         rotation_sigma = float(gyro_bias_sigma_rad_s * increments.dt_s.sum()) + increments.rotation_excess_sigma_rad
         R_cur_prev = _camera_rotation(calibration, increments, gyro_bias_rad_s)
-        frame = self._repetition.filtered(frame, R_cur_prev, rotation_sigma)
-        observations = self._front_end.track(frame, R_cur_prev, rotation_sigma, calibration.rig)
+        frame = self._repetition.filtered(frame, R_cur_prev, rotation_sigma, moves=moves)
+        tracking_sigma = max(rotation_sigma, CONTRADICTED_SIGMA_RAD) if contradicted else rotation_sigma
+        observations = self._front_end.track(frame, R_cur_prev, tracking_sigma, calibration.rig)
         # Cameras that have no tracker of their own observe no features in a frame that the others lack.
         has_image = len(observations) > 0 or all(image.size for image in frame.images)
         return FramePacket(t_ns, increments, self._at_frame_time(observations, calibration), has_image)

@@ -155,7 +155,7 @@ class Propagator:
         """
         self._propagation = ImuPropagation(params, imu, smoother.state, smoother.gtsam_state)
         self._policy = policy
-        self._may_be_stationary = _velocity_may_be_zero(smoother.state)
+        self._may_be_stationary = velocity_may_be_zero(smoother.state)
         self._stationary: list[FramePacket] = []  # the frames since the keyframe, if stationary since
         policy.set_reference(observations)
 
@@ -218,7 +218,7 @@ def _settled_and_recent(stationary: Sequence[FramePacket]) -> tuple[list[FramePa
     return settled, list(stationary[len(settled) :])
 
 
-def _velocity_may_be_zero(state: NavState) -> bool:
+def velocity_may_be_zero(state: NavState) -> bool:
     """Return whether zero velocity is consistent with a state and its covariance."""
     if state.covariance is None:
         return True

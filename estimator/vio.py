@@ -18,8 +18,8 @@ from dronevio.estimator.calibration.online import OnlineCalibration
 from dronevio.estimator.calibration.rotation_offset import RotationOffset
 from dronevio.estimator.calibration.unverified import unverified_covariance
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frame_queue import FrameQueue
+from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.health import INCONSISTENT, HealthMonitor
 from dronevio.estimator.image_connection import ImageConnection
@@ -33,7 +33,8 @@ from dronevio.estimator.initialization.zero_velocity import ZeroVelocityDetector
 from dronevio.estimator.keyframe_observer import KeyframeObserver, OdometryKeyframe
 from dronevio.estimator.output import Publisher
 from dronevio.estimator.pipeline import MeasurementPipeline
-from dronevio.estimator.propagator import Propagator, propagated
+from dronevio.estimator.plausibility import MotionLimits, reason_against
+from dronevio.estimator.propagator import Propagator, propagated, velocity_may_be_zero
 from dronevio.estimator.saturated_rotation import ITERATIONS, missing_rotation, saturated_sigma_rad, with_rotation
 from dronevio.estimator.stamp_error import StampCorrection
 from dronevio.estimator.types import Calibration, FramePacket, Observations
@@ -51,7 +52,9 @@ WRONG_TIME_OFFSET = "the time offset of camera and IMU is another one"
 """Reason of a loss at which another time offset is adopted."""
 MAX_EXTRAPOLATION_S = 0.01
 """Longest time over which a state is extrapolated without its covariance [s]: the error of third order is .01 mm."""
-REPEATED_IMAGES = "the image does not change although the vehicle rotates: not used"
+SAME_REPETITION_S = 1.0
+"""Longest time between repeated images that one event states [s], as where each image comes twice."""
+REPEATED_IMAGES = "the image does not change although the vehicle moves: not used"
 """Event at the first of several equal images."""
 
 IMPLAUSIBLE_CALIBRATION = (
@@ -115,7 +118,11 @@ class VisualInertialOdometry:
         """
         check_rig(rig)
         self._config = c = config or VioConfig()
-        self._rig, self._imu, self._noise = rig, rig.imu, ImuNoiseEstimator(rig.imu, c.preintegration, c.noise, c.gravity_m_s2)
+        self._rig, self._imu, self._noise = (
+            rig,
+            rig.imu,
+            ImuNoiseEstimator(rig.imu, c.preintegration, c.noise, c.gravity_m_s2),
+        )
         self._online_calibration = OnlineCalibration(rig, c.calibration, c.gravity_m_s2)
         self._pipeline = MeasurementPipeline(rig.imu, front_end or RigTracker(rig, c.tracker), c.gravity_m_s2)
         self._stamps = StampCorrection(rig.cameras[0].rate_hz, c.stamps)
@@ -126,8 +133,11 @@ class VisualInertialOdometry:
         self._observer = observer
         self._connection = ImageConnection()
         self._queue, self._offset_search = FrameQueue(), OffsetSearch()
+        self._limits: MotionLimits | None = None  # of the next published state; None before the first, or after a loss
+        self._repeated_ns: int | None = None  # time stamp of the last frame of which an image was left out
         self._estimate: Estimate | None = None  # of the last processed frame, at its time by the clock of the IMU
-        self._newest_ns = 0  # time of the newest frame by the clock of the IMU
+        self._frame: CameraFrame | None = None  # the last processed one
+        self._newest_ns: int | None = None  # its time by the clock of the IMU
         self._origin = WorldOrigin(
             c.initialization.gyro_bias_sigma_rad_s, c.initialization.dynamic.accel_bias_sigma_m_s2
         )
@@ -178,25 +188,31 @@ class VisualInertialOdometry:
 
     def _process(self, frame: CameraFrame) -> Estimate:
         """Return the estimate of a frame at its time by the clock of the IMU."""
-        repeated = self._pipeline.repeats_image
         delay_s = self._stamps.add_stamp(frame.t_ns)
-        packet = self._pipeline.process(frame, self._calibration, *self._gyro_bias, delay_s)
+        packet = self._pipeline.process(
+            frame, self._calibration, *self._gyro_bias, delay_s, moves=self._moves, contradicted=self._is_doubtful
+        )
         self._frame, self._newest_ns = frame, packet.t_ns
         features = packet.observations if packet.has_image else None
         self._zero_velocity.update(packet.t_ns, features, packet.increments)
         self._gauge = self._gauge.propagated(packet.increments)
+        if self._limits is not None:
+            self._limits = self._limits.after(packet.increments, self._config.gravity_m_s2)
         match self._state:
             case Initializing():
                 estimate = self._initialize(self._state, packet)
             case Tracking():
                 estimate = self._track(self._state, packet)
-        self._connection.end_frame(packet.observations)
+        if packet.has_image:
+            self._connection.end_frame(packet.observations)
         self._offset_search.add(packet)
         if self._is_doubtful:
             offset = self._offset_search.offset(self._calibration.Ts_imu_cam)
-            estimate = estimate if offset is None else self._adopted(offset, packet, estimate)
-        if self._pipeline.repeats_image and not repeated:
-            estimate = replace(estimate, events=(*estimate.events, REPEATED_IMAGES))
+            estimate = estimate if offset is None else self._adopted(offset, packet, frame.t_ns, estimate)
+        if self._pipeline.repeats_image:
+            since_ns, self._repeated_ns = self._repeated_ns, frame.t_ns
+            if since_ns is None or (frame.t_ns - since_ns) * 1e-9 > SAME_REPETITION_S:
+                estimate = replace(estimate, events=(*estimate.events, REPEATED_IMAGES))
         return estimate
 
     def _at_stamp(self, estimate: Estimate, frame: CameraFrame) -> Estimate:
@@ -208,6 +224,12 @@ class VisualInertialOdometry:
         return replace(estimate, t_ns=frame.t_ns, state=replace(state, t_ns=frame.t_ns))
 
     @property
+    def _moves(self) -> bool:
+        """Whether the velocity at the last frame was certainly not zero."""
+        state = None if self._estimate is None else self._estimate.state
+        return state is not None and not velocity_may_be_zero(state)
+
+    @property
     def _is_doubtful(self) -> bool:
         """Whether images and IMU contradict each other."""
         match self._state:
@@ -216,11 +238,11 @@ class VisualInertialOdometry:
             case Tracking():
                 return not self._state.monitor.is_trusted
 
-    def _adopted(self, found: RotationOffset, packet: FramePacket, estimate: Estimate) -> Estimate:
+    def _adopted(self, found: RotationOffset, packet: FramePacket, stamp_ns: int, estimate: Estimate) -> Estimate:
         """Begin anew with another time offset of camera and IMU, and return the estimate of the frame with an event."""
-        before_s, sigma_s = self.time_offset_s, found.sigma_s
-        offset_s = before_s + found.offset_s
-        event = f"{TIME_OFFSET_FOUND} {1e3 * offset_s:+.1f} ms instead of {1e3 * before_s:+.1f} ms (σ {1e3 * sigma_s:.1f} ms)"
+        before_ms, sigma_ms = 1e3 * self.time_offset_s, 1e3 * found.sigma_s
+        offset_s = self.time_offset_s + found.offset_s
+        event = f"{TIME_OFFSET_FOUND} {1e3 * offset_s:+.1f} ± {sigma_ms:.1f} ms instead of {before_ms:+.1f} ms"
         if isinstance(self._state, Tracking):
             report = estimate.health_report or HealthReport(Health.LOST, "")
             estimate = self._lose(self._state, packet, replace(report, health=Health.LOST, reason=WRONG_TIME_OFFSET))
@@ -228,7 +250,7 @@ class VisualInertialOdometry:
         self._online_calibration = OnlineCalibration(rig, c.calibration, c.gravity_m_s2)
         self._noise.set_gravity(c.gravity_m_s2)
         self._imu_rate.set_gravity(c.gravity_m_s2)
-        self._queue.shift(offset_s - self._rig.time_offset_s, self._frame.t_ns)
+        self._queue.shift(offset_s - self._rig.time_offset_s, stamp_ns)
         self._offset_search, self._restart = OffsetSearch(), None
         self._publisher.withdraw_causes()
         self._state = Initializing(self._initializer(is_trusted=False), is_trusted=True)
@@ -272,7 +294,9 @@ class VisualInertialOdometry:
         if self._stamps.is_irregular:
             innovation = tracking.monitor.innovation(packet.observations, predicted, self._calibration)
             self._stamps.compare(innovation, predicted, self._pipeline.angular_velocity_rad_s)
-        report = tracking.monitor.assess(packet.observations, predicted, stationary, self._calibration)
+        report = tracking.monitor.assess(
+            packet.observations, predicted, stationary, self._calibration, has_image=packet.has_image
+        )
         if report.health is Health.LOST:
             return self._lose(tracking, packet, report)
         due = propagator.is_keyframe_due(stationary_s, packet.observations, report.innovation_px)
@@ -402,6 +426,7 @@ class VisualInertialOdometry:
         If the images show another place, it uses all frames that do.
         """
         monitor = tracking.monitor
+        self._limits = None
         initializer, self._restart = self._restart or self._initializer(monitor.is_trusted), None
         self._state = Initializing(initializer, monitor.is_trusted)
         self._online_calibration.restart()
@@ -419,9 +444,13 @@ class VisualInertialOdometry:
     ) -> Estimate:
         """Return the estimate of a frame, and keep its pose as the gauge after a loss if landmarks agree with it."""
         report = self._with_corrected_calibration(report)
+        implausible = reason_against(state, self._limits)
+        if implausible is not None and isinstance(self._state, Tracking):
+            return self._lose(self._state, packet, replace(report, health=Health.LOST, reason=implausible))
         estimate = self._publisher.estimate(packet, state, report, events, landmarks_world)
         if estimate.state is None:
             return estimate
+        self._limits = MotionLimits(state)
         published = self._with_unverified_calibration(estimate.state)
         if (report.innovation_px or 0.0) <= self._config.health.max_innovation_px:
             self._gauge = LastPublished.of(published)

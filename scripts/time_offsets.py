@@ -4,6 +4,9 @@ The true offset t_imu = t_cam + offset is given to the recording and not to the 
 several starts, since the motion in the first seconds decides how soon it is found::
 
     python scripts/time_offsets.py ../shared/data/euroc/MH_01_real --cameras 1
+
+No offset may be adopted where images and IMU do not belong together: with the IMU of other flights, with the images in
+reverse order, and where half a second is missing, which is beyond the offsets that are searched for.
 """
 
 import sys
@@ -12,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import tyro
-from wrong_inputs import ChangedRecording, section_of
+from wrong_inputs import FAULTS, Change, ChangedRecording, section_of
 
 from dronevio.cli.terminal import print_table
 from dronevio.driver import estimate_recording
@@ -20,6 +23,7 @@ from dronevio.estimator.vio import TIME_OFFSET_FOUND, VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.run import EstimatorRun
+from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.state import Health, Trajectory
@@ -41,6 +45,8 @@ class TimeOffsetsCommand:
     """Times of the first frames [s]."""
     frames: int = 200
     """Number of frames from the beginning of the recording."""
+    crossed: tuple[Path, ...] = ()
+    """Files with the IMU samples of other flights, in the format of EuRoC."""
 
 
 def started(recording: ChangedRecording, start_s: float) -> ChangedRecording:
@@ -61,7 +67,41 @@ def offset(recording: ChangedRecording, offset_s: float) -> ChangedRecording:
     return replace(recording, frame_times_ns=recording.frame_times_ns - round(offset_s * 1e9))
 
 
-def ate_m(run: EstimatorRun, truth: Trajectory, health: Health | None = None) -> float:
+def with_imu_of(path: Path, begin_s: float) -> Change:
+    """Return the fault that the IMU is that of another flight, from a time after its beginning on [s]."""
+
+    def changed(recording: ChangedRecording, _: Recording) -> ChangedRecording:
+        t_ns = np.loadtxt(path, delimiter=",", comments="#", usecols=0, dtype=np.int64)
+        values = np.loadtxt(path, delimiter=",", comments="#", usecols=range(1, 7))
+        shift_ns = int(recording.imu.t_ns[0] - t_ns[0]) - round(begin_s * 1e9)
+        samples = ImuSamples(t_ns + shift_ns, values[:, :3], values[:, 3:])
+        first, last = np.searchsorted(samples.t_ns, recording.imu.t_ns[[0, -1]]).tolist()
+        return replace(recording, imu=samples[first:last])
+
+    return changed
+
+
+def wrong_inputs(command: TimeOffsetsCommand, recording: Recording) -> int:
+    """Print how often an offset is adopted where images and IMU do not belong together, and return that number."""
+    faults: dict[str, Change] = {name: FAULTS[name][0] for name in ("reversed-images", "imu-late")}
+    for path in command.crossed:
+        faults |= {f"crossed {path.parent.name} at {s:g} s": with_imu_of(path, s) for s in (10.0, 25.0)}
+    rows, total = [], 0
+    for name, change in faults.items():
+        adopted, tracking, texts = 0, 0, set[str]()
+        for start_s in command.starts_s:
+            changed = started(change(section_of(recording, command.frames), recording), start_s)
+            run = estimate_recording(changed, VisualInertialOdometry(changed.rig))
+            adopted += any(TIME_OFFSET_FOUND in text for e in run.estimates for text in e.events)
+            tracking += sum(e.health is Health.TRACKING for e in run.estimates)
+            texts |= {text[:60] for _, text in run.warnings}
+        rows.append((name, f"{adopted} of {len(command.starts_s)}", str(tracking), "; ".join(sorted(texts))[:100]))
+        total += adopted
+    print_table("measurements that do not belong together", ("fault", "adopted", "tracking", "warnings"), rows)
+    return total
+
+
+def ate_m(run: EstimatorRun, truth: Trajectory) -> float:
     """Return the RMS position error of a run after alignment of position and yaw [m]; NaN with few poses."""
     estimate = run.trajectory
     if len(estimate) < 3:
@@ -73,7 +113,7 @@ def ate_m(run: EstimatorRun, truth: Trajectory, health: Health | None = None) ->
 
 
 def main(command: TimeOffsetsCommand) -> int:
-    """Print the table; return 1 if fewer than 90 % of the offsets are found."""
+    """Print the tables; return 1 if fewer than 90 % of the offsets are found, or one is adopted that does not exist."""
     recording: Recording = open_recording(command.recording, command.cameras)
     truth = recording.ground_truth
     if truth is None:
@@ -111,7 +151,8 @@ def main(command: TimeOffsetsCommand) -> int:
     titles = ("offset ms", "found", "adopted", "errors ms", "ATE mm", "ATE ratio", "first pose s", "tracking %")
     print_table(f"{recording.name}, {command.cameras} cameras", titles, rows)
     print(f"found within {1e3 * FOUND_S:g} ms: {good} of {tried}")
-    return int(tried > 0 and good < 0.9 * tried)
+    wrong = wrong_inputs(command, recording)
+    return int((tried > 0 and good < 0.9 * tried) or wrong > 0)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 """Search for the time offset of camera and IMU while the estimate is in doubt.
 
-The online calibration (`dronevio.estimator.calibration.online`) refines an offset of some milliseconds, from an estimate
-that it does not disturb much. With tens of milliseconds, there is no such estimate: an initialization fails, or images
-and prediction contradict each other soon. The rotation of the last frames is then compared with the gyroscope at all
-offsets (`rotation_offset`), which needs no estimate.
+The online calibration (`dronevio.estimator.calibration.online`) finds an offset of some milliseconds, which hardly
+disturbs an estimate. With tens of milliseconds, there is no such estimate: an initialization fails, or images and prediction
+contradict each other soon. The rotation of the last frames is then compared with the gyroscope at all offsets
+(`rotation_offset`), which needs no estimate.
 """
 
 import numpy as np

@@ -100,7 +100,8 @@ class Initializer:
         self._smoother_config, self._landmark_config = smoother, landmarks
         self._gyro_bias, self._accel_bias = gauge.gyro_bias, gauge.accel_bias
         self._window: list[FramePacket] = []
-        self._last_attempt_ns = self._replenished_ns = 0
+        self._last_attempt_ns: int | None = None
+        self._replenished_ns: int | None = None
         self._last_reason = NotObservable("no initialization has been attempted")
 
     @property
@@ -115,8 +116,10 @@ class Initializer:
 
     def needs_features(self, packet: FramePacket) -> bool:
         """Return whether new features should be detected in a frame: if there are few, or at the keyframe interval."""
-        elapsed_s = (packet.t_ns - self._replenished_ns) * 1e-9
-        due = self._keyframes.is_interval_over(elapsed_s, stationary=False)
+        if not packet.has_image:
+            return False
+        since_ns = self._replenished_ns
+        due = since_ns is None or self._keyframes.is_interval_over((packet.t_ns - since_ns) * 1e-9, stationary=False)
         if due or len(packet.observations) < MIN_FEATURES:
             self._replenished_ns = packet.t_ns
             return True
@@ -125,6 +128,9 @@ class Initializer:
     def collect(self, packet: FramePacket) -> None:
         """Add a frame without an attempt to initialize."""
         span_s = max(self._config.static_window_s, self._config.dynamic.max_window_s)
+        *before, last = self._window or [packet]
+        if last is not packet and not last.has_image:  # as if there were no such frame
+            packet, self._window = replace(packet, increments=joined([last.increments, packet.increments])), before
         self._window = [*self._window, packet]
         self._window = self._since(packet.t_ns, span_s)
 
@@ -157,7 +163,8 @@ class Initializer:
         span_s = (t_ns - window[0].t_ns + TIME_TOLERANCE_NS) * 1e-9
         if span_s < needed_s:
             return NotObservable(f"{span_s:.1f} s of frames; {needed_s:g} s are needed")
-        if t_ns - self._last_attempt_ns < c.dynamic.attempt_interval_s * 1e9:
+        last_ns = self._last_attempt_ns
+        if last_ns is not None and t_ns - last_ns < c.dynamic.attempt_interval_s * 1e9:
             return self._last_reason
         self._last_attempt_ns = t_ns
         result = self._dynamic(window, calibration, gauge, noise.params)
