@@ -42,9 +42,14 @@ class MeasurementPipeline:
         self._repetition = RepetitionFilter()
         self._last_frame_ns: int | None = None
 
-    def add_imu(self, samples: ImuSamples) -> None:
-        """Add the IMU samples since the last call."""
-        self._buffer.add(samples)
+    def add_imu(self, samples: ImuSamples) -> ImuSamples:
+        """Add the IMU samples since the last call, and return those that are used now; see `ImuBuffer.add`."""
+        return self._buffer.add(samples)
+
+    @property
+    def imu_outliers(self) -> int:
+        """Number of IMU samples that have been removed as outliers so far."""
+        return self._buffer.outliers
 
     def process(
         self,

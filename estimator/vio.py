@@ -153,8 +153,7 @@ class VisualInertialOdometry:
             ConfigError: A sample is not finite, or not later than the last one.
         """
         check_imu(samples)
-        self._pipeline.add_imu(samples)
-        self._imu_rate.push(samples)
+        self._imu_rate.push(self._pipeline.add_imu(samples))
 
     def state_at(self, t_ns: int) -> NavState | None:
         """Return the newest state, propagated by the IMU to its last sample not after a time; see `Estimator`."""

@@ -1,7 +1,7 @@
 """A buffer of IMU samples that returns the increments up to the time of a frame.
 
 Samples are at the limit of a sensor's range, or missing, more often than data sheets suggest. The buffer detects both
-and attaches to each increment the standard deviation of the error that this may cause.
+and attaches to each increment the standard deviation of the error that this may cause. Outliers are removed before.
 """
 
 from collections.abc import Sequence
@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.imu.outliers import OutlierFilter
 from dronevio.estimator.imu.saturation import MIN_ACCEL_RANGE_M_S2, MIN_GYRO_RANGE_RAD_S, SaturationDetector
 from dronevio.models.imu import IMU_GAP_INTERVALS, ImuModel, ImuSamples
 from dronevio.models.rotation import integrated_rotations
@@ -106,14 +107,22 @@ class ImuBuffer:
         self._longest_s = np.inf if imu is None else IMU_GAP_INTERVALS / imu.rate_hz
         self._gyro_limit = SaturationDetector(np.inf if imu is None else imu.gyro_range_rad_s, MIN_GYRO_RANGE_RAD_S)
         self._accel_limit = SaturationDetector(np.inf if imu is None else imu.accel_range_m_s2, MIN_ACCEL_RANGE_M_S2)
+        self._outliers = OutlierFilter(imu)
         self._samples: ImuSamples | None = None
         self._start_ns: int | None = None  # the samples up to here have been returned
 
-    def add(self, samples: ImuSamples) -> None:
-        """Append later samples."""
+    @property
+    def outliers(self) -> int:
+        """Number of samples that have been removed as outliers so far."""
+        return self._outliers.rejected
+
+    def add(self, samples: ImuSamples) -> ImuSamples:
+        """Append later samples without outliers, and return what has been appended; see `OutlierFilter.add`."""
+        samples = self._outliers.add(samples)
         self._gyro_limit.update(samples.gyro_rad_s)
         self._accel_limit.update(samples.accel_m_s2)
         self._samples = samples if self._samples is None else self._samples.extended(samples)
+        return samples
 
     def take_until(self, t_ns: int) -> Increments:
         """Remove and return the increments from the end of the last call (or the first sample) to ``t_ns``.

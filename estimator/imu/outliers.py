@@ -25,8 +25,8 @@ SCALE_RATIO = 6.0
 """Smallest ratio of that distance to the typical difference between successive samples. In flight on real vehicles it
 reaches 4."""
 RETURN_RATIO = 0.25
-"""Largest ratio between the difference of the samples before and after outliers, and the distance of the outliers. After
-several outliers, the next difference must be as small: an impact leaves the vehicle ringing."""
+"""Largest ratio between the difference of the samples before and after outliers, and the distance of the outliers.
+After several outliers, the next difference must be as small: an impact leaves the vehicle ringing."""
 RETURN_SCALES = 2.0
 """Such a difference is always small enough if it is below this multiple of the typical difference."""
 BLOCK = 16
@@ -152,9 +152,9 @@ class OutlierFilter:
     @staticmethod
     def _threshold(scale: Array) -> Array:
         """Return the smallest distances (2,) of outliers for typical differences (2,)."""
-        return np.maximum(MIN_DISTANCE, SCALE_RATIO * scale)
+        return np.asarray(np.maximum(MIN_DISTANCE, SCALE_RATIO * scale))
 
 
 def _length(vectors: Array) -> Array:
     """Return the lengths (...) of vectors (..., 3)."""
-    return np.sqrt((vectors * vectors).sum(axis=-1))
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=-1)))
