@@ -209,8 +209,8 @@ class _Part:
 
 def _strict_parts(mav0: Path, lists: Sequence[ImageList], complete: bool, _offset_s: float) -> tuple[_Part, ...]:
     """Return what a folder without defects has, or raise InputError."""
-    imu = read_imu(mav0 / "imu0" / "data.csv")
-    return (_Part(_strict_frames(mav0, lists, complete), _sampled(mav0, imu)),)
+    frames = _strict_frames(mav0, lists, complete)
+    return (_Part(frames, _sampled(mav0, read_imu(mav0 / "imu0" / "data.csv"))),)
 
 
 def _repaired_parts(mav0: Path, lists: Sequence[ImageList], complete: bool, offset_s: float) -> tuple[_Part, ...]:

@@ -65,6 +65,22 @@ def image_list(camera: int, change: Callable[[list[str]], list[str]]) -> Change:
     return lambda folder: change_rows(folder / "mav0" / f"cam{camera}" / "data.csv", change)
 
 
+def moved(start: int, change_s: float) -> Callable[[list[str]], list[str]]:
+    """Let the clock of a list step at a row."""
+
+    def later(row: str) -> str:
+        return re.sub(r"^-?\d+", lambda found: str(int(found[0]) + round(change_s * 1e9)), row)
+
+    return lambda rows: [*rows[:start], *map(later, rows[start:])]
+
+
+def step_all(folder: Path, change_s: float = -1.0, frame: int = 3) -> None:
+    """Let all clocks step before a frame; IMU sample 10 k + 3 is at frame k."""
+    imu_table(moved(10 * frame - 2, change_s))(folder)
+    for camera in (0, 1):
+        image_list(camera, moved(frame, change_s))(folder)
+
+
 def cut(file: Path) -> None:
     file.write_bytes(file.read_bytes()[:60])
 
@@ -80,12 +96,19 @@ DEFECTS: dict[DefectKind, tuple[Change, int, str]] = {
     DefectKind.NON_FINITE_IMU_SAMPLE: (imu_table(not_a_number(9)), FRAMES, "imu0/data.csv:11: sample at"),
     DefectKind.IMU_GAP: (imu_table(removed(14, 22)), FRAMES, "no IMU sample for 0.045 s after"),
     DefectKind.FRAME_WITHOUT_IMU: (imu_table(removed(45, 60)), FRAMES, "0.045 s after the last IMU sample"),
+    DefectKind.CLOCK_STEP: (
+        step_all,
+        3,
+        "imu0/data.csv:30: 1403715272402142976 ns after 1403715273397142976 ns (-1.000 s)",
+    ),
+    DefectKind.LONE_CLOCK_STEP: (imu_table(moved(28, -0.12)), FRAMES, "ns (-0.120 s)"),
 }
 """How a kind of defect is made, the number of frames that remain, and a part of its description."""
 
 
 def test_every_kind_of_defect_is_tested() -> None:
-    assert set(DEFECTS) == set(DefectKind)
+    elsewhere = {DefectKind.IMU_BURST, DefectKind.UNSET_STAMP, DefectKind.UNUSABLE_SEGMENT}  # test_recording_clocks.py
+    assert set(DEFECTS) | elsewhere == set(DefectKind)
     assert len({kind.key for kind in DefectKind}) == len(DefectKind)
     assert all(re.fullmatch("[a-z_]+", kind.key) and kind.treatment for kind in DefectKind)
 

@@ -5,6 +5,8 @@ order mixes the messages before and after the step.
 """
 
 from collections.abc import Iterator, Sequence
+from copy import copy
+from io import BytesIO
 from typing import Any
 
 Message = tuple[Any, int, bytes]
@@ -18,9 +20,16 @@ def written_messages(reader: Any, connections: Sequence[Any]) -> Iterator[Messag
         reader: An open reader of rosbags.
         connections: Connections of the reader.
     """
-    storage = getattr(reader, "storage", reader)
+    if hasattr(reader, "indexes"):  # ROS 1; one list of index entries is read in its own order
+        entries = [entry for connection in connections for entry in reader.indexes[connection.id]]
+        by_place = copy(reader)
+        by_place.current_chunk = (-1, BytesIO())
+        by_place.indexes = {connections[0].id: sorted(entries, key=lambda entry: (entry.chunk_pos, entry.offset))}
+        yield from by_place.messages(connections[:1])
+        return
+    storage = reader.storage
     files = getattr(storage, "storages", [storage])
-    if getattr(reader, "compression_mode", None) == "message" or not all(map(_is_known, files)):
+    if reader.compression_mode == "message" or not all(map(_is_known, files)):
         yield from reader.messages(connections)
         return
     for file in files:

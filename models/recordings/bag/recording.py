@@ -208,7 +208,7 @@ class ImageTopic:
         """Defects of the time stamps."""
         self.t_ns: Times = t_ns[order]
         """(K,) Time stamps of the images, increasing [ns]."""
-        self._header_ns, self._logged_ns = stamps.header_ns[order], stamps.logged_ns[order]
+        self._stamps = stamps.selected(order)
         self._reader: BagFile | None = None
         self._following: Iterator[tuple[int, bytes]] = iter(())
 
@@ -229,9 +229,10 @@ class ImageTopic:
 
     def _message(self, row: int) -> bytes:
         """Return the bytes of the message with index ``row``: the following one, or else found by its log time."""
-        stamp_ns, times = int(self.t_ns[row]), (int(self._logged_ns[row]), int(self._header_ns[row]))
+        stamps = self._stamps
+        times, (before, count) = (int(stamps.logged_ns[row]), int(stamps.header_ns[row])), stamps.twins[row].tolist()
         for logged_ns, raw in self._following:
-            if (logged_ns, self._bag.stamp_ns(self._topic, raw)) == times:
+            if count == 1 and (logged_ns, self._bag.stamp_ns(self._topic, raw)) == times:
                 return raw
             break
         if self._reader is None:  # a separate reader, because a reader has one position in the file
@@ -239,9 +240,11 @@ class ImageTopic:
         self._following = self._reader.raw_messages(self._topic, times[0])
         for logged_ns, raw in self._following:
             if (logged_ns, self._bag.stamp_ns(self._topic, raw)) == times:
-                return raw
+                if before == 0:
+                    return raw
+                before -= 1
         raise self._bag.error(
-            f"{self._topic}: the image of {stamp_ns} ns is missing", "a bag that does not change while it is read"
+            f"{self._topic}: the image of {self.t_ns[row]} ns is missing", "a bag that does not change while it is read"
         )
 
 

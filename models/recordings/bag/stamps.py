@@ -31,6 +31,8 @@ class TopicStamps:
     """(N,) Time stamps to use [ns]."""
     unset: npt.NDArray[np.bool_]
     """(N,) Whether the header has no time stamp."""
+    twins: npt.NDArray[np.int64]
+    """(N, 2) Number of messages in the bag with the same header stamp and log time, those before it and all of them."""
 
     @classmethod
     def of(cls, topic: str, header_ns: Times, logged_ns: Times) -> "TopicStamps":
@@ -46,7 +48,7 @@ class TopicStamps:
         logged = logged_ns + (int(np.median(delays_ns)) if len(delays_ns) else 0)
         if unset.sum() == 1 and abs(int(logged[unset][0])) < _CLOSE_NS:
             unset[:] = False
-        return cls(topic, header_ns, logged_ns, np.where(unset, logged, header_ns), unset)
+        return cls(topic, header_ns, logged_ns, np.where(unset, logged, header_ns), unset, _twins(header_ns, logged_ns))
 
     def place(self, row: int) -> str:
         """Return topic and number of a message, counted from 1."""
@@ -54,7 +56,8 @@ class TopicStamps:
 
     def selected(self, rows: npt.NDArray[np.int64] | slice) -> "TopicStamps":
         """Return the time stamps of some of the messages."""
-        return TopicStamps(self.topic, self.header_ns[rows], self.logged_ns[rows], self.t_ns[rows], self.unset[rows])
+        arrays = (self.header_ns, self.logged_ns, self.t_ns, self.unset, self.twins)
+        return TopicStamps(self.topic, *(array[rows] for array in arrays))
 
     @property
     def defects(self) -> tuple[Defect, ...]:
@@ -67,3 +70,15 @@ class TopicStamps:
             )
             for row in np.flatnonzero(self.unset).tolist()
         )
+
+
+def _twins(header_ns: Times, logged_ns: Times) -> npt.NDArray[np.int64]:
+    """Return for each message (N,) the numbers (N, 2) of equal ones: those before it, and all of them."""
+    order = np.lexsort((header_ns, logged_ns))  # stable
+    differs = (np.diff(header_ns[order]) != 0) | (np.diff(logged_ns[order]) != 0)
+    group = np.concatenate([[0], np.cumsum(differs)])
+    count = np.bincount(group)
+    twins = np.empty((len(order), 2), dtype=np.int64)
+    twins[order, 0] = np.arange(len(order)) - (np.cumsum(count) - count)[group]
+    twins[order, 1] = count[group]
+    return twins
