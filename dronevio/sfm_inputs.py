@@ -16,6 +16,7 @@ from dronevio.models.image_sets import ImageSet
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.reconstructions import read_reconstruction
 from dronevio.models.reconstructions.colmap import is_colmap
+from dronevio.models.recordings.files import read_text
 from dronevio.models.recordings.open import read_trajectory
 
 Array = npt.NDArray[np.float64]
@@ -51,9 +52,9 @@ def read_earlier(path: Path) -> EarlierResult:
 def _world(report: Path) -> WorldFrame:
     """Return what the report of a result states about its world frame."""
     try:
-        values = json.loads(report.read_text(encoding="utf-8"))
+        values = json.loads(read_text(report, "the report of a result"))
         is_metric, up = values.get("unit") == "m", values.get("up")
-    except (OSError, ValueError, AttributeError):
+    except (InputError, ValueError, AttributeError):
         return WorldFrame()
     return WorldFrame("earlier" if is_metric else "arbitrary", is_vertical=up == [0.0, 0.0, 1.0])
 

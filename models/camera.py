@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
-from dronevio.models.lenses.lens import LENSES, LensName
+from dronevio.models.lenses.lens import LENSES, LensName, check_coefficients
 from dronevio.models.ranges import Range, Settings
 
 Array = npt.NDArray[np.float64]
@@ -32,10 +32,12 @@ class CameraModel(Settings):
     """Principal point along x [px]."""
     cy: Annotated[float, Range(-1e6, 1e6)]
     """Principal point along y [px]."""
-    distortion: Annotated[tuple[float, float, float, float], Range(-1e3, 1e3)] = (0.0, 0.0, 0.0, 0.0)
-    """Distortion coefficients: radial k1, k2 and tangential p1, p2 of ``radtan``; k1 to k4 of ``equidistant``."""
+    distortion: Annotated[tuple[float, ...], Range(-1e3, 1e3)] = (0.0, 0.0, 0.0, 0.0)
+    """Coefficients of the lens: k1, k2, p1, p2 of ``radtan``, which may be followed by k3 or by k3 to k6; k1 to k4 of
+    ``equidistant``; w of ``fov``; xi, alpha of ``ds``; alpha, beta of ``eucm``; xi, k1, k2, p1, p2 of ``omni``."""
     lens: LensName = "radtan"
-    """Lens model: ``radtan``, a pinhole with radial-tangential distortion, or ``equidistant``, a fisheye."""
+    """Lens model: ``radtan``, a pinhole with radial-tangential or rational distortion, or one of the fisheyes
+    ``equidistant``, ``fov``, ``ds`` (double sphere), ``eucm`` (extended unified) and ``omni`` (unified, distorted)."""
 
     def __post_init__(self) -> None:
         """Check the values of the fields.
@@ -46,6 +48,7 @@ class CameraModel(Settings):
         super().__post_init__()
         if self.lens not in LENSES:
             raise ConfigError(f"camera lens {self.lens!r}; expected one of {', '.join(LENSES)}")
+        check_coefficients(self.lens, self.distortion)
 
     def resized(self, width: int, height: int) -> "CameraModel":
         """Return a camera with the same field of view and an image of another size [px].
@@ -75,7 +78,7 @@ class CameraModel(Settings):
         """Return pixels (…, 2) of points (…, 3) in the camera frame [m].
 
         The result is NaN where the lens model is not valid: beyond its largest angle, where its polynomial may map
-        points outside the field of view into the image, and for ``radtan`` behind the camera.
+        points outside the field of view into the image, and for ``radtan`` and ``fov`` behind the camera.
         """
         uv = LENSES[self.lens].project(np.asarray(p_cam, dtype=np.float64), self.distortion)
         return np.asarray(uv * [self.fx, self.fy] + [self.cx, self.cy])

@@ -21,7 +21,7 @@ RECENT_SAMPLES = 20
 
 
 class Recording(Protocol):
-    """Measurements of one flight: a simulated flight, an EuRoC folder, a ROS 2 bag or any object with these members."""
+    """Measurements of one flight: a simulated flight, a folder of EuRoC, a bag of ROS or any object with these members."""
 
     @property
     def name(self) -> str:

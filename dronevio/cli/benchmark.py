@@ -72,7 +72,7 @@ class BenchmarkCommand(Settings):
     """Image sensor that replaces those of the scenarios: standard, with short exposures, or vi-sensor, with the
     exposures, noise and contrast of EuRoC's images."""
     recordings: tuple[Path, ...] = ()
-    """Recordings with ground truth: EuRoC folders or ROS 2 bags."""
+    """Recordings with ground truth: folders of data sets or bags."""
     starts_s: tuple[Annotated[float, Range(low=0.0)], ...] = ()
     """Times after the first frame of each flight at which estimators start [s], to measure their initialization, also
     in motion. Each time is a row of its own, named FLIGHT@TIMEs. By default estimators start with the first frame."""

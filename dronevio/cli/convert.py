@@ -39,10 +39,11 @@ class ConvertCommand:
       dronevio convert flight.mcap recordings/flight --to euroc --calibration camchain.yaml imu.yaml
       dronevio convert recordings/room-0 config/room-0 --to openvins
       dronevio convert recordings/room-0 truth.tum
+      dronevio convert MH_01_easy.bag recordings/MH_01_easy --to euroc --calibration camchain.yaml imu.yaml
     """
 
     source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SOURCE")]
-    """EuRoC folder, or ROS 2 bag: an .mcap or .db3 file, or a folder."""
+    """Folder of EuRoC, TUM-VI, DSO or KITTI, or bag of ROS 1 or ROS 2."""
     dest: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DEST")]
     """File or folder to make."""
     to: Format | None = None
@@ -67,7 +68,7 @@ def main(arguments: Sequence[str]) -> int:
     command = parse(ConvertCommand, arguments, "convert")
 
     from dronevio.cli.output_files import require_free, size_mb
-    from dronevio.models.errors import ConfigError
+    from dronevio.models.errors import ConfigError, InputError
     from dronevio.models.recordings.files import writing
 
     target = command.to or _BY_SUFFIX.get(command.dest.suffix)
@@ -77,6 +78,10 @@ def main(arguments: Sequence[str]) -> int:
         raise ConfigError(f"{command.dest} as {target}; expected a name that ends with .mcap for mcap only")
     require_free(command.dest, command.output.overwrite)  # before the source is read
     recording = command.reading.open(command.source)
+    if target != "tum" and not len(recording.imu):
+        raise InputError(
+            command.source, "a recording without an IMU", "one with an IMU, or its ground truth (--to tum)"
+        )
     with progress_bars(quiet=command.output.json) as bars, writing(command.dest):
         _convert(recording, target, command, bars)
     truth = recording.ground_truth

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 class EstimateCommand:
     """Estimate the trajectory of a recording from its IMU and its cameras.
 
-    The recording is an EuRoC (ASL) folder with pinhole or fisheye cameras, or a ROS 2 bag (.mcap, .db3, or a folder). A
-    bag without IMU noise parameters or camera poses needs Kalibr files. The result is a TUM file with one pose of the
+    The recording is a folder of EuRoC (ASL), TUM-VI, DSO or KITTI, or a bag of ROS 1 (.bag) or ROS 2 (.mcap, .db3, or a
+    folder). Without IMU noise parameters or camera poses, it needs calibration files. The result is a TUM file with one pose of the
     IMU per frame since initialization, in a world frame whose z axis points up. Each pose depends only on measurements
     up to its frame.
 
@@ -62,6 +62,7 @@ class EstimateCommand:
       dronevio estimate V1_01_easy --cameras 1 --imu-rate v101_imu.tum
       dronevio estimate flight.mcap --calibration camchain.yaml imu.yaml --topics.images /left/image_raw
       dronevio estimate V1_01_easy --estimator.tracker.corners.cell-px 36
+      dronevio estimate MH_01_easy.bag --calibration camchain.yaml imu.yaml
       dronevio estimate flight.mcap --strict --estimator.gravity-m-s2 9.80
       dronevio estimate V1_01_easy --slam --out v101.tum
       dronevio estimate V1_01_easy --slam --save-map v1.map
@@ -72,7 +73,7 @@ class EstimateCommand:
     """
 
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
-    """EuRoC folder or ROS 2 bag."""
+    """Folder of EuRoC, TUM-VI, DSO or KITTI, or bag of ROS 1 or ROS 2."""
     out: Path = Path("estimate.tum")
     """TUM file to write."""
     strict: bool = False

@@ -25,7 +25,7 @@ class EvaluateCommand(Settings):
     """Compute the errors of an estimated trajectory with respect to the ground truth.
 
     Each of the two is a TUM file (rows of t x y z qx qy qz qw, in seconds and metres), a KITTI file (rows of twelve
-    numbers), an EuRoC ground truth file (CSV), or a recording: an EuRoC folder or a ROS 2 bag. The ground truth is
+    numbers), an EuRoC ground truth file (CSV), or a recording: the folder of a data set or a bag. The ground truth is
     interpolated at the time stamps of the estimate and never extrapolated. If it is a recording with images, the
     coverage is the share of the frames that have a pose.
 
@@ -38,7 +38,7 @@ class EvaluateCommand(Settings):
     """
 
     truth: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TRUTH")]
-    """Ground truth: TUM, KITTI or EuRoC file, EuRoC folder or ROS 2 bag."""
+    """Ground truth: TUM, KITTI or EuRoC file, or recording."""
     estimate: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ESTIMATE")]
     """Estimated trajectory: TUM, KITTI or EuRoC file."""
     alignment: Literal["yaw", "se3", "sim3", "first", "scale", "none"] = "yaw"

@@ -33,15 +33,15 @@ class LogCommand(Settings):
     """
 
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
-    """EuRoC folder or ROS 2 bag."""
+    """Recording: the folder of a data set, or a bag of ROS 1 or ROS 2."""
     estimates: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="ESTIMATE")]
-    """Estimated trajectories: TUM files, EuRoC CSV files or ROS 2 bags."""
+    """Estimated trajectories: TUM files, EuRoC CSV files or bags."""
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("comparison.rrd")
     """File to write."""
     names: str = ""
     """Names of the estimates, joined by commas; the names of their files by default."""
     truth: Path | None = None
-    """Ground truth that replaces the one of the recording: TUM file, EuRoC CSV file, EuRoC folder or ROS 2 bag."""
+    """Ground truth that replaces the one of the recording: TUM file, EuRoC CSV file, recording."""
     alignment: Literal["yaw", "se3", "sim3", "first", "none"] = "yaw"
     """Alignment of the estimates before they are shown and evaluated: yaw and position (yaw), rotation and position
     (se3), also the scale (sim3), equal first poses (first), or none."""

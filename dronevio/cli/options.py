@@ -40,12 +40,16 @@ class RecordingOptions(Settings):
     cameras: Annotated[int | None, Range(1, 16)] = None
     """Number of cameras to use, from the first on. All cameras are used by default."""
     calibration: tuple[Path, ...] = ()
-    """Kalibr files, camchain.yaml, imu.yaml or both, that replace the calibration of a ROS 2 bag."""
+    """Calibration files that replace or complete that of the recording: Kalibr's camchain.yaml, imu.yaml or both, or
+    Basalt's calibration.json."""
     imu: str | None = None
     """IMU whose noise parameters replace those of the recording, or supply them where they are unknown: euroc,
     ADIS16448, BMI088, MPU-6050 or tactical."""
+    imu_rotation: str | None = None
+    """Axes of the IMU of a video along x (right), y (down) and z (forward) of the camera, where a small letter is the
+    opposite direction: yxz for GoPro cameras, which is the default. It replaces the pose of the calibration."""
     topics: BagTopics = field(default_factory=BagTopics)
-    """Topics of a ROS 2 bag that has several of one type."""
+    """Topics of a bag that has several of one type."""
 
     def open(self, path: Path, repair: bool = False) -> "StoredRecording":
         """Open a recording.
@@ -65,7 +69,7 @@ class RecordingOptions(Settings):
             from dronevio.models.imu_presets import imu_named
 
             imu = imu_named(self.imu)
-        recording = open_recording(path, self.cameras, self.calibration, self.topics, repair, imu)
+        recording = open_recording(path, self.cameras, self.calibration, self.topics, repair, imu, self.imu_rotation)
         found = len(recording.rig.cameras)
         if self.cameras is not None and found < self.cameras:
             raise ConfigError(f"--cameras {self.cameras}: {path} has {found}; expected {found} or fewer")

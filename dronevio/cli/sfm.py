@@ -48,7 +48,7 @@ class SfmCommand(Settings):
     """
 
     images: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="IMAGES")]
-    """Folder of images, video, or recording (EuRoC folder or ROS 2 bag)."""
+    """Folder of images, video, or recording (folder of a data set, or bag)."""
     out: Path | None = None
     """Folder to make; runs/sfm-NAME by default."""
     format: tuple[Format, ...] = ("colmap-binary", "ply")

@@ -18,6 +18,7 @@ import tyro
 from dronevio.cli.terminal import parse
 from dronevio.models.errors import DronevioError, InputError
 from dronevio.models.ranges import Range, Settings
+from dronevio.models.recordings.files import check_regular_file
 
 HOST = "127.0.0.1"  # the viewer has no access control
 RECORDING = "run.rrd"
@@ -114,6 +115,7 @@ def find_recording(run: Path) -> Path:
     """
     path = run / RECORDING if run.is_dir() else run
     expected = f"a folder that `dronevio run` wrote, with {RECORDING} in it, or an .rrd file"
+    check_regular_file(path, expected)
     try:
         with path.open("rb") as file:
             magic = file.read(len(_MAGIC))

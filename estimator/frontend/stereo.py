@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.frontend import klt
+from dronevio.estimator.frontend.common_scale import CommonScale
 from dronevio.estimator.frontend.protocol import is_inside
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import RigCamera
@@ -81,7 +82,8 @@ class StereoMatcher:
             config: Settings.
         """
         self._config = config
-        self._first, self._second = first.model, second.model
+        self._second, self._scale = second.model, CommonScale(first.model, second.model)
+        self._pixel = 1.0 / (second.model.fx * float(self._scale.second.scale[0]))  # of the coarser image
         T_second_first = inverse_pose(second.T_imu_cam) @ first.T_imu_cam
         self._R, self._t = T_second_first[:3, :3], T_second_first[:3, 3]
         self.is_miscalibrated = False
@@ -104,11 +106,13 @@ class StereoMatcher:
         candidates = np.flatnonzero(is_inside(predicted, self._second, self._config.border_px))
         if not len(candidates):
             return StereoMatches(candidates, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
-        start = pixels[candidates]
-        c, first = self._config, klt.match_brightness(first, second)
-        matched, found = klt.track(first, second, start, predicted[candidates], c.window_px, c.pyramid_levels)
+        c, scale = self._config, self._scale
+        first, second = scale.images(klt.match_brightness(first, second), second)
+        start, target = scale.first.pixels(pixels[candidates]), scale.second.pixels(predicted[candidates])
+        matched, found = klt.track(first, second, start, target, c.window_px, c.pyramid_levels)
         back, returned = klt.track(second, first, matched, start, c.window_px, 0)
         found &= returned & (np.linalg.norm(back - start, axis=1) < c.max_backward_error_px)
+        matched = scale.second.restored(matched)
         found &= is_inside(matched, self._second, c.border_px)
         rows, matched = candidates[found], matched[found]
         xy_second = self._second.normalize(matched)
@@ -117,7 +121,7 @@ class StereoMatcher:
         bearings = bearings @ exp_so3(self._rotation_correction(xy[rows], bearings)).T
         epipolar_error, depth = self._geometry(xy[rows], bearings)
         with np.errstate(invalid="ignore"):  # pixels outside the lens model have NaN bearings and are rejected
-            pixel = 1.0 / self._second.fx
+            pixel = self._pixel
             half_pixel_m = 0.5 * pixel / max(float(np.linalg.norm(self._t)), 1e-6)
             valid = np.abs(epipolar_error) < self._config.max_epipolar_error_px * pixel
             valid &= ((depth > -half_pixel_m) & (depth < 1.0 / self._config.min_depth_m)) | self.is_miscalibrated
@@ -168,7 +172,7 @@ class StereoMatcher:
         perpendicular to baseline and optical axis is hardly observable from epipolar distances; the prior keeps it
         close to zero.
         """
-        c, pixel, zero = self._config, 1.0 / self._second.fx, np.zeros(3)
+        c, pixel, zero = self._config, self._pixel, np.zeros(3)
         finite = np.isfinite(bearings).all(axis=1)
         bearings = bearings[finite]
         normals = self._normals(np.column_stack([xy[finite], np.ones(len(bearings))]) @ self._R.T)

@@ -21,7 +21,7 @@ from dronevio.estimator.slam.saved_arrays import LAYOUT
 from dronevio.estimator.slam.saved_map import SavedMap
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
-from dronevio.models.recordings.files import as_input_error, write_bytes
+from dronevio.models.recordings.files import as_input_error, check_regular_file, write_bytes
 from dronevio.models.rig import RigCamera
 from dronevio.models.serialization import to_jsonable
 
@@ -102,6 +102,7 @@ def _members(path: Path) -> Mapping[str, bytes]:
     Raises:
         InputError: The archive is damaged or too large, or has other members.
     """
+    check_regular_file(path, _EXPECTED)
     try:
         with path.open("rb") as stream:
             size = stream.seek(0, io.SEEK_END)

@@ -11,7 +11,7 @@ from dronevio.models.image_sets.photos import PHOTO_SUFFIXES
 from dronevio.models.image_sets.recording import image_recording
 from dronevio.models.image_sets.video import VIDEO_SUFFIXES, image_video
 from dronevio.models.lenses.lens import LensName
-from dronevio.models.recordings.open import is_bag
+from dronevio.models.recordings.open import is_bag, is_recording_folder
 
 
 def open_images(
@@ -62,10 +62,8 @@ def open_images(
 
 
 def is_recording(path: Path) -> bool:
-    """Return whether a path is that of a recording: an EuRoC folder or a bag."""
-    if path.suffix == ".bag":
-        return True  # of ROS 1, which is refused with instructions for its conversion
-    return is_bag(path) or (path / "mav0").is_dir() or (path / "cam0" / "data.csv").is_file()
+    """Return whether a path is that of a recording: a bag or a folder of a data set."""
+    return is_bag(path) or is_recording_folder(path)
 
 
 def _check_options(path: Path, kind: str, options: Mapping[str, object], allowed: tuple[str, ...]) -> None:

@@ -18,6 +18,8 @@ from dronevio.models.errors import InputError
 from dronevio.models.image_sets.image_set import Image
 from dronevio.models.image_sets.intrinsics import ExifCamera, exif_camera
 from dronevio.models.recordings.bit_depth import MAX_BITS, DeepImage, significant_bits, spread, to_8bit
+from dronevio.models.recordings.files import check_regular_file
+from dronevio.models.recordings.image_header import check_decoded_size, read_image_header
 
 if TYPE_CHECKING:
     from PIL import Image as PillowImage
@@ -102,6 +104,7 @@ def _decoded(path: Path, function: "Callable[[ImageFile], Result]") -> Result:
     from PIL import Image as PillowImage
     from PIL import UnidentifiedImageError
 
+    _check_size(path)
     try:
         opened: AbstractContextManager[ImageFile] = PillowImage.open(path, formats=_FORMATS)
         with opened as image:
@@ -112,6 +115,18 @@ def _decoded(path: Path, function: "Callable[[ImageFile], Result]") -> Result:
         raise InputError(path, "a file that is not a supported image", _EXPECTED) from None
     except Exception as error:  # decoders raise many kinds for damaged files
         raise InputError(path, f"an image that cannot be decoded ({error})", _EXPECTED) from None
+
+
+def _check_size(path: Path) -> None:
+    """Raise InputError for a pipe or a device, and for an image that needs too much memory."""
+    check_regular_file(path, _EXPECTED)
+    try:
+        with path.open("rb") as stream:
+            header, size = read_image_header(stream), path.stat().st_size
+    except (OSError, ValueError):  # which Pillow finds as well
+        return
+    if header is not None:
+        check_decoded_size(path, header, size)
 
 
 def _header(image: "ImageFile") -> PhotoHeader:

@@ -21,6 +21,8 @@ from dronevio.models.image_sets.image_set import FocalSource, Image, ImageSet, I
 from dronevio.models.image_sets.intrinsics import initial_camera
 from dronevio.models.image_sets.masks import find_masks
 from dronevio.models.lenses.lens import LensName
+from dronevio.models.recordings.files import check_regular_file
+from dronevio.models.recordings.image_header import MAX_FRAME_PIXELS
 
 if TYPE_CHECKING:
     from av.video.frame import VideoFrame
@@ -109,6 +111,7 @@ def read_video_index(path: Path) -> VideoIndex:
     """
     import av
 
+    check_regular_file(path, _EXPECTED)
     pts: list[int] = []
     keyframes: list[int] = []
     try:
@@ -119,6 +122,8 @@ def read_video_index(path: Path) -> VideoIndex:
             if container.format.name == "avi" and stream.codec_context.has_b_frames:
                 raise InputError(path, "an AVI file with B-frames, whose times it does not store", _STAMPED)
             width, height, time_base = stream.width, stream.height, stream.time_base
+            if width * height > MAX_FRAME_PIXELS:
+                raise InputError(path, f"frames of {width} × {height} px", f"at most {MAX_FRAME_PIXELS // 10**6} Mpx")
             for packet in container.demux(stream):
                 if packet.size == 0 or packet.is_discard:
                     continue
@@ -137,15 +142,16 @@ def read_video_index(path: Path) -> VideoIndex:
 class VideoFrames:
     """Frames of a video; the object is called with the index of a frame. Several threads may call it."""
 
-    def __init__(self, path: Path, index: VideoIndex, pts: Indices) -> None:
+    def __init__(self, path: Path, index: VideoIndex, pts: Indices, is_grey: bool = False) -> None:
         """Take the frames to read.
 
         Args:
             path: The video.
             index: Its size and time stamps.
             pts: (I,) Presentation time stamps of the frames to read, increasing.
+            is_grey: Whether images are grey, also those in colour.
         """
-        self._path, self._index, self._pts = path, index, pts
+        self._path, self._index, self._pts, self._is_grey = path, index, pts, is_grey
         self._lock = threading.Lock()
         self._decoded: OrderedDict[int, Image] = OrderedDict()
         self._following: Iterator[VideoFrame] = iter(())
@@ -213,7 +219,7 @@ class VideoFrames:
                 f"a frame of {frame.width} × {frame.height} px",
                 f"{self._index.width} × {self._index.height} px as in the first frame",
             )
-        is_grey = frame.format.name.startswith("gray")
+        is_grey = self._is_grey or frame.format.name.startswith("gray")
         return np.asarray(frame.to_ndarray(format="gray" if is_grey else "rgb24"), dtype=np.uint8)
 
 
@@ -223,6 +229,7 @@ def _frames(path: Path, keyframe_pts: int | None) -> "Iterator[VideoFrame]":
 
     with av.open(str(path)) as container:
         stream = container.streams.video[0]
+        stream.codec_context.options = {"max_pixels": str(MAX_FRAME_PIXELS)}  # frames may become larger than the first
         if keyframe_pts is not None:
             container.seek(keyframe_pts, stream=stream)
         yield from container.decode(stream)

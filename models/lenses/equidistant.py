@@ -7,13 +7,21 @@ OpenCV's ``fisheye``, Kalibr's ``equidistant``. The field of view may exceed 90Â
 the first maximum of Î¸_d.
 """
 
+from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.ranges import FINITE, Range
+
 Array = npt.NDArray[np.float64]
-Coefficients = tuple[float, float, float, float]
+Coefficients = tuple[float, ...]
+
+COEFFICIENTS: Mapping[str, Range] = dict.fromkeys(("k1", "k2", "k3", "k4"), FINITE)
+"""Names and ranges of the coefficients."""
+COUNTS: tuple[int, ...] = (4,)
+"""Allowed numbers of coefficients."""
 
 _ITERATIONS = 60  # Newton usually needs 4; bisection alone would need 52 for double precision
 _CONVERGED_RAD = 1e-15

@@ -1,22 +1,27 @@
 """Protocol of lens models, and the models by name."""
 
+from collections.abc import Mapping
 from typing import Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.lenses import equidistant, radtan
+from dronevio.models.errors import ConfigError
+from dronevio.models.lenses import ds, equidistant, eucm, fov, omni, radtan
+from dronevio.models.ranges import Range
 
 Array = npt.NDArray[np.float64]
-Coefficients = tuple[float, float, float, float]
-LensName = Literal["radtan", "equidistant"]
+Coefficients = tuple[float, ...]
+LensName = Literal["radtan", "equidistant", "fov", "ds", "eucm", "omni"]
 
 
 class Lens(Protocol):
     """A lens model. Image coordinates are relative to the principal point, in units of the focal length."""
 
-    def valid_limit(self, coefficients: Coefficients) -> float:
-        """Return the limit of the valid domain: a radius at depth 1 or an angle from the optical axis [rad]."""
+    COEFFICIENTS: Mapping[str, Range]
+    """Names and ranges of the coefficients, in their order."""
+    COUNTS: tuple[int, ...]
+    """Allowed numbers of coefficients; those that are left out are zero."""
 
     def project(self, p_cam: Array, coefficients: Coefficients) -> Array:
         """Return image coordinates (…, 2) of points (…, 3) in the camera frame; NaN outside the valid domain."""
@@ -25,5 +30,28 @@ class Lens(Protocol):
         """Return rays (…, 3), of arbitrary length, of image coordinates (…, 2); NaN where there is none."""
 
 
-LENSES: dict[LensName, Lens] = {"radtan": radtan, "equidistant": equidistant}
+LENSES: dict[LensName, Lens] = {
+    "radtan": radtan,
+    "equidistant": equidistant,
+    "fov": fov,
+    "ds": ds,
+    "eucm": eucm,
+    "omni": omni,
+}
 """The lens models by the names that Kalibr uses."""
+
+
+def check_coefficients(lens: LensName, coefficients: Coefficients) -> None:
+    """Check the number of the coefficients of a lens, and their ranges.
+
+    Raises:
+        ConfigError: The number is wrong, or a value is outside its range; the message names the coefficients.
+    """
+    model = LENSES[lens]
+    names = tuple(model.COEFFICIENTS)
+    if len(coefficients) not in model.COUNTS:
+        expected = " or ".join(f"{count} numbers ({', '.join(names[:count])})" for count in model.COUNTS)
+        raise ConfigError(f"camera distortion of {len(coefficients)} numbers; expected {expected} for the lens {lens}")
+    for (name, allowed), value in zip(model.COEFFICIENTS.items(), coefficients, strict=False):
+        if value not in allowed:
+            raise ConfigError(f"camera {name} = {value}; expected a number, {allowed}, for the lens {lens}")

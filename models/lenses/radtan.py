@@ -1,18 +1,32 @@
-"""Pinhole with radial-tangential distortion (Brown 1966; OpenCV's and Kalibr's ``radtan``).
+"""Pinhole with radial-tangential distortion (Brown 1966; OpenCV's, ROS' and Kalibr's ``radtan``).
 
-    d(x) = (1 + k₁ r² + k₂ r⁴) x + r² p + 2 (x·p) x,   x at depth 1, r = |x|, p = (p₂, p₁)
+    d(x) = g(r) x + r² p + 2 (x·p) x,   x at depth 1, r = |x|, p = (p₂, p₁)
+    g(r) = (1 + k₁ r² + k₂ r⁴ + k₃ r⁶) / (1 + k₄ r² + k₅ r⁴ + k₆ r⁶)
+
+The coefficients have OpenCV's order k₁, k₂, p₁, p₂, k₃, k₄, k₅, k₆; without the last four or three, these are zero.
+With eight this is the rational model (D. Claus, A. Fitzgibbon, "A rational function lens distortion model for general
+cameras", CVPR 2005, and OpenCV's ``CALIB_RATIONAL_MODEL``).
 
 The Jacobian of d is symmetric, so d is the gradient of a potential, and on a disc where the Jacobian is positive
 definite d is injective. Outside that disc d may map several points to one, and the model is not valid there.
 """
 
+from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
+from numpy.polynomial import polynomial
+
+from dronevio.models.ranges import FINITE, Range
 
 Array = npt.NDArray[np.float64]
-Coefficients = tuple[float, float, float, float]
+Coefficients = tuple[float, ...]
+
+COEFFICIENTS: Mapping[str, Range] = dict.fromkeys(("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), FINITE)
+"""Names and ranges of the coefficients."""
+COUNTS: tuple[int, ...] = (4, 5, 8)
+"""Allowed numbers of coefficients."""
 
 _ITERATIONS = 40  # Newton needs 4 inside the image of EuRoC's camera, and more only far outside
 _CONVERGED = 1e-13  # largest residual in focal lengths
@@ -25,17 +39,24 @@ def valid_limit(coefficients: Coefficients) -> float:
     """Return the largest valid radius at depth 1; inf if the model is valid everywhere.
 
     In the basis of the radial direction and its normal, the Jacobian of the radial part has the eigenvalues
-    a = 1 + 3 k₁ r² + 5 k₂ r⁴ and b = 1 + k₁ r² + k₂ r⁴, and that of the tangential part is bounded below by −6 r |p|.
-    Therefore min(a, b) − 6 r |p| > 0 is sufficient.
+    a = d(r g)/dr and b = g, and that of the tangential part is bounded below by −6 r |p|. Therefore
+    min(a, b) − 6 r |p| > 0 is sufficient, as long as the denominator of g is positive.
     """
-    k1, k2, p1, p2 = coefficients
-    tangential = -6.0 * np.hypot(p1, p2)
-    inverse_radii = np.concatenate(
-        [
-            np.roots([1.0, tangential, 3.0 * k1, 0.0, 5.0 * k2]),
-            np.roots([1.0, tangential, k1, 0.0, k2]),
-        ]  # well conditioned in 1 / r
+    k1, k2, p1, p2, k3, k4, k5, k6 = (*coefficients, *(8 - len(coefficients)) * (0.0,))
+    numerator, denominator = np.array([1.0, 0.0, k1, 0.0, k2, 0.0, k3]), np.array([1.0, 0.0, k4, 0.0, k5, 0.0, k6])
+    if not any((k4, k5, k6)):
+        denominator = np.ones(1)
+    tangential = np.array([0.0, -6.0 * np.hypot(p1, p2)])
+    powers = np.arange(len(numerator))
+    # r g′ times the square of the denominator; r times a derivative multiplies each coefficient by its power.
+    slope = polynomial.polysub(
+        polynomial.polymul(powers * numerator, denominator),
+        polynomial.polymul(numerator, np.arange(len(denominator)) * denominator),
     )
+    b = polynomial.polymul(numerator, denominator)
+    bound = polynomial.polymul(tangential, polynomial.polymul(denominator, denominator))
+    positive = [polynomial.polyadd(polynomial.polyadd(b, slope), bound), polynomial.polyadd(b, bound), denominator]
+    inverse_radii = np.concatenate([np.roots(p) for p in positive])  # well conditioned in 1 / r
     roots = inverse_radii.real[np.abs(inverse_radii.imag) < 1e-9 * np.abs(inverse_radii)]
     nearest = roots.max(initial=0.0)
     return float(1.0 / nearest) if nearest > 0.0 else np.inf
@@ -91,15 +112,34 @@ def jacobian(xy: Array, coefficients: Coefficients) -> Array:
 
 
 def _terms(x: Array, y: Array, coefficients: Coefficients) -> tuple[Array, Array]:
-    """Return r² and 1 + k₁ r² + k₂ r⁴ (…) at points (x, y) at depth 1."""
-    k1, k2, _, _ = coefficients
+    """Return r² and g (…) at points (x, y) at depth 1."""
+    k1, k2, _, _, *higher = coefficients
     r2 = x * x + y * y
-    return r2, 1.0 + r2 * (k1 + r2 * k2)
+    if not higher:
+        return r2, 1.0 + r2 * (k1 + r2 * k2)
+    k3, k4, k5, k6 = _padded(higher)
+    return r2, (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+
+
+def _slope(terms: tuple[Array, Array], coefficients: Coefficients) -> Array:
+    """Return 2 dg / d(r²) (…), given the terms of a point: ∂g/∂x is x times it."""
+    (k1, k2, _, _, *higher), (r2, radial) = coefficients, terms
+    if not higher:
+        return np.asarray(2.0 * (k1 + 2.0 * k2 * r2))
+    k3, k4, k5, k6 = _padded(higher)
+    numerator = k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)
+    denominator = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    return np.asarray(2.0 * (numerator - radial * (k4 + r2 * (2.0 * k5 + 3.0 * r2 * k6))) / denominator)
+
+
+def _padded(higher: list[float]) -> tuple[float, ...]:
+    """Return k₃ to k₆ of the coefficients after the fourth."""
+    return (*higher, *(4 - len(higher)) * (0.0,))
 
 
 def _image(x: Array, y: Array, terms: tuple[Array, Array], coefficients: Coefficients) -> tuple[Array, Array]:
     """Return the two components of d (…) at points (x, y) at depth 1, given their terms."""
-    (_, _, p1, p2), (r2, radial) = coefficients, terms
+    (_, _, p1, p2, *_), (r2, radial) = coefficients, terms
     return (
         x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
         y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
@@ -110,8 +150,7 @@ def _derivatives(
     x: Array, y: Array, terms: tuple[Array, Array], coefficients: Coefficients
 ) -> tuple[Array, Array, Array]:
     """Return ∂d₁/∂x₁, ∂d₁/∂x₂ = ∂d₂/∂x₁ and ∂d₂/∂x₂ (…) at points (x, y) at depth 1, given their terms."""
-    (k1, k2, p1, p2), (r2, radial) = coefficients, terms
-    d_radial = 2.0 * (k1 + 2.0 * k2 * r2)  # ∂radial/∂x = x · d_radial
+    (_, _, p1, p2, *_), (_, radial), d_radial = coefficients, terms, _slope(terms, coefficients)
     off = x * y * d_radial + 2.0 * p1 * x + 2.0 * p2 * y
     xx = radial + x * x * d_radial + 2.0 * p1 * y + 6.0 * p2 * x
     yy = radial + y * y * d_radial + 6.0 * p1 * y + 2.0 * p2 * x

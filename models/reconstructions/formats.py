@@ -8,6 +8,7 @@ from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.reconstructions.bundler import HEADER, read_bundler, write_bundler
 from dronevio.models.reconstructions.colmap import is_colmap, read_colmap, write_colmap
 from dronevio.models.reconstructions.ply import MAGIC, read_ply, write_ply
+from dronevio.models.recordings.files import check_regular_file
 
 ReconstructionFormat = Literal["colmap-text", "colmap-binary", "bundler", "ply"]
 """Names of the formats that `write_reconstruction` writes."""
@@ -36,6 +37,7 @@ def read_reconstruction(path: Path | str) -> Reconstruction:
             if (path / name).is_file():
                 return read_bundler(path / name)
         raise InputError(path, "a folder without images.bin, images.txt and bundle.out", _EXPECTED)
+    check_regular_file(path, _EXPECTED)
     try:
         with path.open("rb") as file:
             start = file.read(64)

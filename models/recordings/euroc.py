@@ -2,7 +2,8 @@
 
 The body frame is that of the IMU, IMU samples are values at their time stamps unless stated otherwise, cameras are
 pinholes with radial-tangential distortion or equidistant fisheyes. Format: Burri et al., "The EuRoC micro aerial
-vehicle datasets", IJRR 2016.
+vehicle datasets", IJRR 2016. Folders of TUM-VI have the same tables without ``sensor.yaml``, and their ground truth in
+``mocap0`` (Schubert et al., "The TUM VI benchmark for evaluating visual-inertial odometry", IROS 2018).
 """
 
 from collections.abc import Sequence
@@ -16,7 +17,7 @@ import numpy.typing as npt
 
 from dronevio.models.defects import Defect, DefectKind
 from dronevio.models.errors import InputError
-from dronevio.models.imu import ImuSamples, Times
+from dronevio.models.imu import ImuModel, ImuSamples, Times
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.calibration.euroc import (
@@ -27,6 +28,7 @@ from dronevio.models.recordings.calibration.euroc import (
 )
 from dronevio.models.recordings.exported import increments_of_means, interval_means
 from dronevio.models.recordings.files import write_text
+from dronevio.models.recordings.folder_contents import FolderContents, calibrated_rig
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text, read_frame_truth
 from dronevio.models.recordings.image_list import ImageList
 from dronevio.models.recordings.images import DamagedImageError, encode_png, read_grey, significant_bits_of_files
@@ -41,6 +43,7 @@ from dronevio.models.recordings.segments import segment_name, split_at_steps, us
 from dronevio.models.recordings.timed_table import (
     TableFormat,
     TimedTable,
+    check_table,
     check_unit_quaternions,
     parse_integer_ns,
     read_timed_table,
@@ -54,6 +57,10 @@ IMU_TABLE = TableFormat("an EuRoC IMU table", (7,), ",", parse_integer_ns, "whol
 """Columns: time, angular velocity x y z [rad/s], specific force x y z [m/s²]."""
 GROUND_TRUTH_FILE = Path("state_groundtruth_estimate0") / "data.csv"
 """Path of the ground truth below ``mav0``."""
+TUM_VI_TRUTH_FILE = Path("mocap0") / "data.csv"
+"""Path of the ground truth of TUM-VI below ``mav0``, which that of EuRoC precedes."""
+TUM_VI_CALIBRATION = (Path("dso") / "camchain.yaml", Path("dso") / "imu_config.yaml")
+"""Calibration files of Kalibr beside ``mav0`` in exports of TUM-VI, for a folder without ``sensor.yaml``."""
 TUM_GROUND_TRUTH_FILE = "groundtruth.tum"
 """Name of a TUM file beside ``mav0`` with the ground truth of the IMU, for a recording without `GROUND_TRUTH_FILE`."""
 INCOMPLETE = "INCOMPLETE"
@@ -75,12 +82,12 @@ _MOTION_HEADER = (
 
 @dataclass(frozen=True, eq=False)
 class EurocRecording:
-    """A recording in an EuRoC folder; satisfies the `Recording` protocol."""
+    """A recording in an EuRoC folder, or one of another layout; satisfies the `Recording` protocol."""
 
     name: str
     """Name of the parent folder of ``mav0``."""
     mav0: Path
-    """Path of the folder ``mav0``."""
+    """Path of the folder ``mav0``, or of a folder of another layout."""
     rig: Rig
     """Calibration of cameras and IMU."""
     imu: ImuSamples
@@ -104,7 +111,14 @@ class EurocRecording:
     `dronevio.models.recordings.segments`."""
 
     @classmethod
-    def open(cls, folder: Path | str, cameras: int | None = None, repair: bool = False) -> Self:
+    def open(
+        cls,
+        folder: Path | str,
+        cameras: int | None = None,
+        repair: bool = False,
+        calibration: Sequence[Path] = (),
+        imu: ImuModel | None = None,
+    ) -> Self:
         """Read everything except the images, which `frame` reads on request.
 
         Args:
@@ -113,6 +127,9 @@ class EurocRecording:
             repair: Whether to go on with images that are missing or damaged, time stamps that do not increase and IMU
                 samples that are not finite, and to list them in `defects`. Otherwise, they raise an error, and frames
                 that not every camera has are left out.
+            calibration: Calibration files of Kalibr or Basalt that replace the ``sensor.yaml`` files.
+            imu: Model of the IMU in place of that of the calibration. The rate is that of the samples, or of
+                ``sensor.yaml``.
 
         Raises:
             InputError: A file is missing, damaged or not supported; or, with `repair`, IMU and cameras do not overlap
@@ -120,23 +137,27 @@ class EurocRecording:
             ConfigError: The number of cameras is less than 1.
         """
         check_camera_count(cameras)
-        mav0 = find_mav0(folder)
-        used = count_cameras(mav0) if cameras is None else min(cameras, count_cameras(mav0))
-        lists = [ImageList.read(mav0 / f"cam{i}") for i in range(used)]
-        complete = not (mav0 / INCOMPLETE).exists()
-        frame_truth = mav0 / FRAME_TRUTH_FILE
-        rig = read_euroc_rig(mav0, used)
-        parts = (_repaired_parts if repair else _strict_parts)(mav0, lists, complete, rig.time_offset_s)
+        return cls.of(read_euroc_contents(find_mav0(folder), cameras, calibration, imu), repair)
+
+    @classmethod
+    def of(cls, contents: FolderContents, repair: bool = False) -> Self:
+        """Return the recording of the contents of a folder; see `open`.
+
+        Raises:
+            InputError: The contents have defects; or, with `repair`, there is no IMU, or IMU and cameras do not overlap
+                in time.
+        """
+        parts = (_repaired_parts if repair else _strict_parts)(contents)
         whole = cls(
-            name=mav0.resolve().parent.name,
-            mav0=mav0,
-            rig=rig,
+            name=contents.name,
+            mav0=contents.folder,
+            rig=contents.rig,
             imu=parts[0].imu,
             frame_times_ns=parts[0].frames.t_ns,
             image_files=parts[0].frames.files,
-            ground_truth=_ground_truth_of(mav0),
-            frame_truth=read_frame_truth(frame_truth) if frame_truth.exists() else None,
-            complete=complete,
+            ground_truth=contents.ground_truth,
+            frame_truth=contents.frame_truth,
+            complete=contents.complete,
             repair=repair,
         )
         segments = [
@@ -207,32 +228,78 @@ class _Part:
     """The defects of both."""
 
 
-def _strict_parts(mav0: Path, lists: Sequence[ImageList], complete: bool, _offset_s: float) -> tuple[_Part, ...]:
+def read_euroc_contents(
+    mav0: Path, cameras: int | None = None, calibration: Sequence[Path] = (), imu: ImuModel | None = None
+) -> FolderContents:
+    """Return the contents of a folder ``mav0``; see `EurocRecording.open`.
+
+    Raises:
+        InputError: A file is missing, damaged or not supported.
+    """
+    used = count_cameras(mav0) if cameras is None else min(cameras, count_cameras(mav0))
+    lists = tuple(ImageList.read(mav0 / f"cam{i}") for i in range(used))
+    table = read_timed_table(mav0 / "imu0" / "data.csv", IMU_TABLE, checked=False)
+    files, frame_truth = tuple(calibration) or _tum_vi_calibration(mav0), mav0 / FRAME_TRUTH_FILE
+    if files:
+        rig, sampling = calibrated_rig(mav0, files, lists, table.t_ns, imu)
+    else:
+        rig, sampling = read_euroc_rig(mav0, used), read_euroc_sampling(mav0)
+        rig = rig if imu is None else replace(rig, imu=replace(imu, rate_hz=rig.imu.rate_hz))
+    return FolderContents(
+        name=mav0.resolve().parent.name,
+        folder=mav0,
+        lists=lists,
+        imu=table,
+        imu_form=IMU_TABLE,
+        rig=rig,
+        sampling=sampling,
+        ground_truth=_ground_truth_of(mav0),
+        frame_truth=read_frame_truth(frame_truth) if frame_truth.exists() else None,
+        complete=not (mav0 / INCOMPLETE).exists(),
+    )
+
+
+def _tum_vi_calibration(mav0: Path) -> tuple[Path, ...]:
+    """Return the calibration files of an export of TUM-VI for a folder without ``sensor.yaml``; none if it has some."""
+    beside = tuple(mav0.resolve().parent / file for file in TUM_VI_CALIBRATION)
+    if (mav0 / "cam0" / "sensor.yaml").exists():
+        return ()
+    if not all(file.is_file() for file in beside):
+        expected = "that file, or a calibration of Kalibr or Basalt (--calibration camchain.yaml imu.yaml)"
+        raise InputError(mav0 / "cam0" / "sensor.yaml", "no such file", expected)
+    return beside
+
+
+def _strict_parts(contents: FolderContents) -> tuple[_Part, ...]:
     """Return what a folder without defects has, or raise InputError."""
-    frames = _strict_frames(mav0, lists, complete)
-    return (_Part(frames, _sampled(mav0, read_imu(mav0 / "imu0" / "data.csv"))),)
+    frames = _strict_frames(contents.folder, contents.lists, contents.complete)
+    if len(contents.imu.t_ns):
+        check_table(contents.imu, contents.imu_form)
+    return (_Part(frames, _sampled(contents, _samples(contents.imu.t_ns, contents.imu.values))),)
 
 
-def _repaired_parts(mav0: Path, lists: Sequence[ImageList], complete: bool, offset_s: float) -> tuple[_Part, ...]:
+def _repaired_parts(contents: FolderContents) -> tuple[_Part, ...]:
     """Return what a folder has of each segment, one or more, with its defects.
 
     Raises:
-        InputError: No segment has frames and IMU samples of the same time.
+        InputError: There is no IMU, or no segment has frames and IMU samples of the same time.
     """
-    table = read_timed_table(mav0 / "imu0" / "data.csv", IMU_TABLE, checked=False)
-    offsets_ns = [0, *[round(offset_s * 1e9)] * len(lists)]
-    split = split_at_steps([table.t_ns, *(each.t_ns for each in lists)], offsets_ns)
+    table, mav0, offset_s = contents.imu, contents.folder, contents.rig.time_offset_s
+    if not len(table.t_ns):
+        raise InputError(mav0, "no IMU", "a recording with an IMU; dronevio sfm needs none")
+    offsets_ns = [0, *[round(offset_s * 1e9)] * len(contents.lists)]
+    split = split_at_steps([table.t_ns, *(each.t_ns for each in contents.lists)], offsets_ns)
     table = replace(table, t_ns=split.stamps[0])
-    lists = [replace(each, t_ns=t_ns) for each, t_ns in zip(lists, split.stamps[1:], strict=True)]
+    lists = [replace(each, t_ns=t_ns) for each, t_ns in zip(contents.lists, split.stamps[1:], strict=True)]
 
     def part(segment: int) -> _Part:
         rows = [np.arange(len(t_ns))[split.rows(k)[segment]] for k, t_ns in enumerate(split.stamps)]
         chosen = [each.selected(of) for each, of in zip(lists, rows[1:], strict=True)]
-        frames = _repaired_frames(mav0, chosen, complete)
+        frames = _repaired_frames(mav0, chosen, contents.complete)
         imu, defects = _repaired_imu(table.selected(rows[0]))
         late = imu_defects(imu, frames.t_ns, offset_s, mav0)
         steps = split.defects(segment, [table.place, *(each.place for each in lists)])
-        return _Part(replace(frames, defects=()), _sampled(mav0, imu), (*frames.defects, *defects, *late, *steps))
+        return _Part(replace(frames, defects=()), _sampled(contents, imu), (*frames.defects, *defects, *late, *steps))
 
     return tuple(
         replace(found, defects=(*left_out, *found.defects))
@@ -240,9 +307,14 @@ def _repaired_parts(mav0: Path, lists: Sequence[ImageList], complete: bool, offs
     )
 
 
-def _sampled(mav0: Path, imu: ImuSamples) -> ImuSamples:
-    """Return the IMU samples of a folder as the values that its ``sensor.yaml`` says they are."""
-    return increments_of_means(imu) if read_euroc_sampling(mav0) == "increment" else imu
+def _sampled(contents: FolderContents, imu: ImuSamples) -> ImuSamples:
+    """Return the IMU samples of a folder as the values that its calibration says they are."""
+    return increments_of_means(imu) if contents.sampling == "increment" else imu
+
+
+def _samples(t_ns: Times, values: Array) -> ImuSamples:
+    """Return point samples of time stamps (N,) [ns] and values (N, 6)."""
+    return ImuSamples(t_ns, _columns(values, 0, 3), _columns(values, 3, 6), "point")
 
 
 def _strict_frames(mav0: Path, lists: Sequence[ImageList], complete: bool) -> _Frames:
@@ -334,8 +406,9 @@ def read_recording_truth(folder: Path | str) -> Trajectory:
 
 def _ground_truth_of(mav0: Path) -> Trajectory | None:
     """Return the ground truth of a recording, None if it has none."""
-    if (mav0 / GROUND_TRUTH_FILE).exists():
-        return read_groundtruth(mav0 / GROUND_TRUTH_FILE)
+    for file in (mav0 / GROUND_TRUTH_FILE, mav0 / TUM_VI_TRUTH_FILE):
+        if file.exists():
+            return read_groundtruth(file)
     tum = mav0.resolve().parent / TUM_GROUND_TRUTH_FILE
     if not tum.exists():
         return None
@@ -351,7 +424,7 @@ def read_imu(path: Path | str) -> ImuSamples:
         InputError: The file is missing, empty, truncated or in another format, or its time stamps do not increase.
     """
     table = read_timed_table(Path(path), IMU_TABLE)
-    return ImuSamples(table.t_ns, _columns(table.values, 0, 3), _columns(table.values, 3, 6), "point")
+    return _samples(table.t_ns, table.values)
 
 
 def _repaired_imu(table: TimedTable) -> tuple[ImuSamples, tuple[Defect, ...]]:
@@ -365,8 +438,7 @@ def _repaired_imu(table: TimedTable) -> tuple[ImuSamples, tuple[Defect, ...]]:
     )
     if not len(rows):
         raise InputError(table.path, f"{len(table.t_ns)} samples, none of which is finite", "finite numbers")
-    values = table.values[rows]
-    return ImuSamples(t_ns, _columns(values, 0, 3), _columns(values, 3, 6)), defects
+    return _samples(t_ns, table.values[rows]), defects
 
 
 def read_groundtruth(path: Path | str) -> Trajectory:

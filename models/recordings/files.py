@@ -1,10 +1,18 @@
 """Reading and atomic writing of files, with errors that name the file."""
 
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from dronevio.models.errors import ConfigError, InputError
+
+_SPECIAL_FILES = (
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
 
 
 def read_text(path: Path, expected: str) -> str:
@@ -35,8 +43,9 @@ def read_bytes(path: Path, expected: str) -> bytes:
         expected: Description of the expected content, for the error message.
 
     Raises:
-        InputError: The file is missing, a folder or not readable.
+        InputError: The file is missing, a folder, a pipe or a device, or not readable.
     """
+    check_regular_file(path, expected)
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -45,6 +54,27 @@ def read_bytes(path: Path, expected: str) -> bytes:
         raise InputError(path, "a folder", expected) from None
     except (OSError, ValueError) as error:  # ValueError: a NUL character in the name
         raise InputError(path, f"cannot be read ({error})", expected) from None
+
+
+def check_regular_file(path: Path, expected: str) -> None:
+    """Check that a path is not that of a pipe, a socket or a device, which may block or never end.
+
+    Folders and missing files pass: what opens the path names them.
+
+    Args:
+        path: The path.
+        expected: Description of the expected content, for the error message.
+
+    Raises:
+        InputError: It is one.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):  # ValueError: a NUL character in the name
+        return
+    for is_kind, name in _SPECIAL_FILES:
+        if is_kind(mode):
+            raise InputError(path, name, f"{expected}, as a file")
 
 
 def first_row(path: Path, expected: str) -> str:

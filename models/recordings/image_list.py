@@ -73,9 +73,9 @@ class ImageList:
 
     def existing(self) -> npt.NDArray[np.bool_]:
         """Return for each image (N,) whether its file exists."""
-        folder = self.path.parent / "data"
-        names = {file.name for file in folder.iterdir()} if folder.is_dir() else set()
-        return np.array([file.name in names for file in self.files], dtype=np.bool_)
+        folders = {file.parent for file in self.files}
+        found = {file for folder in folders if folder.is_dir() for file in folder.iterdir()}
+        return np.array([file in found for file in self.files], dtype=np.bool_)
 
     def missing(self) -> tuple[Defect, ...]:
         """Return the defects of the images that are listed and do not exist."""
@@ -83,7 +83,7 @@ class ImageList:
             Defect(
                 DefectKind.MISSING_IMAGE,
                 int(self.t_ns[row]),
-                f"{self.path}:{self.lines[row]}: no file data/{self.files[row].name}",
+                f"{self.path}:{self.lines[row]}: no file {self.files[row].parent.name}/{self.files[row].name}",
             )
             for row in np.flatnonzero(~self.existing()).tolist()
         )
@@ -93,6 +93,11 @@ class ImageList:
         indices = np.arange(len(self.t_ns))[rows]
         files = tuple(self.files[row] for row in indices.tolist())
         return type(self)(self.path, self.t_ns[indices], files, self.lines[indices])
+
+
+def is_file_name(name: str) -> bool:
+    """Return whether a name in a list refers to a file in its folder, and not to one outside."""
+    return name not in (".", "..") and not any(character in name for character in "/\\\0")
 
 
 def _image_rows(path: Path, text: str) -> Iterator[tuple[int, int, str]]:
@@ -108,8 +113,7 @@ def _image_rows(path: Path, text: str) -> Iterator[tuple[int, int, str]]:
             raise InputError(path, f"time stamp {stamp[:40]!r}", "whole nanoseconds", line) from None
         if not comma or not name or "," in name:
             raise InputError(path, repr(row[:60]), "two columns: time stamp [ns], file name", line)
-        # A list must not refer to files outside its folder.
-        if name in (".", "..") or any(character in name for character in "/\\\0"):
+        if not is_file_name(name):
             raise InputError(path, f"file name {name[:60]!r}", "the name of a file in the folder data", line)
         if abs(t_ns) >= TIME_LIMIT_NS:
             raise InputError(path, f"time stamp {stamp[:40]}", "whole nanoseconds, below 2⁶² ns", line)

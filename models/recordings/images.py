@@ -9,6 +9,8 @@ import numpy.typing as npt
 
 from dronevio.models.errors import InputError
 from dronevio.models.recordings.bit_depth import MAX_BITS, DeepImage, significant_bits, spread, to_8bit
+from dronevio.models.recordings.files import check_regular_file
+from dronevio.models.recordings.image_header import check_decoded_size, header_of
 
 Image = npt.NDArray[np.uint8]
 
@@ -18,12 +20,6 @@ class DamagedImageError(InputError):
 
 
 _PNG = b"\x89PNG\r\n\x1a\n"
-_PNG_HEADER_BYTES = 24
-_JPEG = b"\xff\xd8"
-_MARKER = 0xFF  # first byte of a marker, and fill byte before one
-_NO_LENGTH = {0x01, *range(0xD0, 0xD9)}  # markers without a segment
-_FRAME_HEADERS = set(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # SOF0 to SOF15 without tables and extensions
-_JPEG_HEADER_BYTES = 9  # of a frame header, up to the width
 
 
 def read_grey(path: Path, width: int, height: int, bits: int = MAX_BITS) -> Image:
@@ -67,6 +63,7 @@ def _deep_images(files: Sequence[Path], width: int, height: int) -> Iterator[Dee
 
 def _read_bytes(path: Path, width: int, height: int) -> bytes:
     """Return the content of a file, or raise DamagedImageError."""
+    check_regular_file(path, _expected(width, height))
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -113,10 +110,13 @@ def decode_deep_grey(path: Path, data: bytes, width: int, height: int, where: st
     damage = _damage(data)
     if damage:
         raise DamagedImageError(path, f"{where}{damage}", expected)
-    found = encoded_size(data)
-    if found is not None and found not in ((width, height), (height, width)):  # EXIF data may state a rotation
-        # before memory for the pixels is allocated
+    header = header_of(data)  # before memory for the pixels is allocated
+    if header is None:
+        raise DamagedImageError(path, f"{where}data that cannot be decoded", expected)
+    found = header.width, header.height
+    if found not in ((width, height), (height, width)):  # EXIF data may state a rotation
         raise InputError(path, f"{where}an image of {found[0]} × {found[1]} px", expected)
+    check_decoded_size(path, header, len(data), where)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     except cv2.error as error:  # more pixels than OpenCV allows, for example
@@ -131,29 +131,6 @@ def decode_deep_grey(path: Path, data: bytes, width: int, height: int, where: st
     if image.dtype != np.uint16:
         raise InputError(path, f"{where}an image of type {image.dtype}", "8 or 16 bits without a sign")
     return np.asarray(image, np.uint16)
-
-
-def encoded_size(data: bytes) -> tuple[int, int] | None:
-    """Return width and height [px] in the header of a PNG or JPEG, None for other data and damaged headers.
-
-    Source: ITU-T T.81, annex B: the frame header of a JPEG follows a marker SOF, which other segments precede.
-    """
-    if data.startswith(_PNG) and len(data) >= _PNG_HEADER_BYTES:
-        return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-    if not data.startswith(_JPEG):
-        return None
-    at = len(_JPEG)
-    while at + _JPEG_HEADER_BYTES <= len(data) and data[at] == _MARKER:
-        code = data[at + 1]
-        if code == _MARKER:  # fill byte
-            at += 1
-        elif code in _NO_LENGTH:
-            at += 2
-        elif code in _FRAME_HEADERS:
-            return int.from_bytes(data[at + 7 : at + 9], "big"), int.from_bytes(data[at + 5 : at + 7], "big")
-        else:
-            at += 2 + max(2, int.from_bytes(data[at + 2 : at + 4], "big"))
-    return None
 
 
 def encode_png(image: Image) -> bytes:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from dronevio.models.errors import InputError
 from dronevio.models.recordings.files import as_input_error, read_bytes, write_bytes
-from dronevio.models.recordings.images import encoded_size
+from dronevio.models.recordings.image_header import encoded_size
 from dronevio.models.scenery import NO_SCENERY, Scenery, TexturedMesh
 
 SCENERY_FILE = "world.npz"

@@ -155,6 +155,16 @@ def parse_timed_table(
     return table
 
 
+def check_table(table: TimedTable, form: TableFormat) -> None:
+    """Check that the numbers of a table are finite and its time stamps increase.
+
+    Raises:
+        InputError: A number is not finite, or a time stamp is not later than the previous one.
+    """
+    _check_finite(table, form)
+    check_increasing(table.path, table.t_ns, table.lines)
+
+
 def numbered_rows(text: str) -> list[tuple[int, str]]:
     """Return line number and text of each row of a table, without empty lines and comments."""
     return [(i, row) for i, line in enumerate(text.split("\n"), 1) if (row := line.strip()) and row[0] != "#"]

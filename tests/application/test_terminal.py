@@ -106,7 +106,7 @@ def test_shared_options_have_no_prefix() -> None:
     command = parse(Command, words, "test")
     assert command.size == 2.0
     assert (command.reading.cameras, command.reading.calibration) == (1, (Path("a"), Path("b")))
-    assert command.reading.topics.imu == "/imu"
+    assert command.reading.topics.imu == ("/imu",)
     assert command.output == OutputOptions(json=True, overwrite=True)
 
 

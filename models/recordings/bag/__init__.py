@@ -1,3 +1,3 @@
-"""Recordings as ROS 2 bags: reading and writing, without ROS."""
+"""Recordings as bags of ROS 1 and ROS 2: reading, and writing for ROS 2, without ROS."""
 
 __all__: list[str] = []

@@ -1,7 +1,8 @@
-"""Topics and messages of a ROS 2 bag, with damage reported as InputError.
+"""Topics and messages of a bag of ROS 1 or ROS 2, with damage reported as InputError.
 
-The library rosbags reads MCAP, SQLite and folders with ``metadata.yaml``, compressed or not. Messages are decoded by
-the standard definitions and not by those in the bag, which would have to be compiled to code.
+The library rosbags reads bags of ROS 1, MCAP, SQLite and folders with ``metadata.yaml``, compressed or not. Messages
+are decoded by the standard definitions of ROS 2 and not by those in the bag, which would have to be compiled to code.
+Those of ROS 1 differ in their serialization only: no alignment, and a counter in front of the time stamp of a header.
 """
 
 import weakref
@@ -11,18 +12,21 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from dronevio.models.errors import DronevioError, InputError
 from dronevio.models.imu import Times
 from dronevio.models.recordings.bag.file_order import written_messages
-from dronevio.models.recordings.bag.messages import stamp_ns
+from dronevio.models.recordings.bag.messages import ros1_stamp_ns, stamp_ns
+from dronevio.models.recordings.bag.options import ROS1_SUFFIX, STORAGES
 from dronevio.models.recordings.bag.stamps import TopicStamps
+from dronevio.models.recordings.files import check_regular_file
 
-_EXPECTED = "a ROS 2 bag: an .mcap or .db3 file, or a folder with metadata.yaml"
-_STORAGES = (".mcap", ".db3")
+_EXPECTED = "a bag of ROS 1 (.bag) or ROS 2: an .mcap or .db3 file, or a folder with metadata.yaml"
+_RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}  # before ROS Groovy; the contents are the same
 
 
 @cache
@@ -61,13 +65,17 @@ class BagFile:
         """
         self.path = path
         with any_as_input_error(path):
-            for database in (path, *_storage_files(path)):
-                _check_not_truncated(database)
-            self._reader = Reader(_storage(path))
+            storage = _storage(path)
+            for file in [file for file in storage.iterdir() if not file.is_dir()] if storage.is_dir() else [storage]:
+                check_regular_file(file, _EXPECTED)
+                _check_not_truncated(file)
+            self._is_ros1 = storage.suffix == ROS1_SUFFIX and not storage.is_dir()
+            self._reader = Ros1Reader(storage) if self._is_ros1 else Ros2Reader(storage)
             self._reader.open()
             weakref.finalize(self, self._reader.close)
-            self.topics: dict[str, str] = {c.topic: c.msgtype for c in self._reader.connections if c.msgcount}
-            """Message type of each topic that has messages."""
+            used = [connection for connection in self._reader.connections if connection.msgcount]
+            self.topics: dict[str, str] = {c.topic: _RENAMED.get(c.msgtype, c.msgtype) for c in used}
+            """Message type of each topic that has messages, by its name in ROS 2."""
 
     def topics_of_type(self, *types: str) -> tuple[str, ...]:
         """Return the topics with messages of the given types, sorted by name."""
@@ -85,7 +93,7 @@ class BagFile:
             InputError: The bag is damaged.
         """
         with any_as_input_error(self.path):
-            connections = [c for c in self._reader.connections if c.topic == topic]
+            connections = [c for c in self._reader.connections if c.topic == topic and c.msgcount]
             if start_ns is None:
                 found = written_messages(self._reader, connections)
             else:
@@ -118,8 +126,9 @@ class BagFile:
         Raises:
             InputError: The bytes are damaged.
         """
+        kind = self.topics[topic]
         with any_as_input_error(self.path):
-            return typestore().deserialize_cdr(raw, self.topics[topic])
+            return typestore().deserialize_cdr(typestore().ros1_to_cdr(raw, kind) if self._is_ros1 else raw, kind)
 
     def stamp_ns(self, topic: str, raw: bytes) -> int:
         """Return the time stamp [ns] in the header of a serialized message.
@@ -128,7 +137,7 @@ class BagFile:
             InputError: The message has no header.
         """
         try:
-            return stamp_ns(raw)
+            return ros1_stamp_ns(raw) if self._is_ros1 else stamp_ns(raw)
         except ValueError as error:
             raise InputError(self.path, f"{topic}: {error}", "messages with a time stamp") from None
 
@@ -210,7 +219,7 @@ def _check_not_truncated(path: Path) -> None:
 
     Page size and number of pages are in the header (https://www.sqlite.org/fileformat2.html, 1.3).
     """
-    if path.suffix != ".db3" or not path.is_file():
+    if path.suffix != ".db3":
         return
     with path.open("rb") as file:
         database = file.read(100)
@@ -226,4 +235,4 @@ def _storage_files(folder: Path) -> Sequence[Path]:
     """Return the storage files in a folder; none if the path is not a folder."""
     if not folder.is_dir():
         return ()
-    return sorted(path for path in folder.iterdir() if path.suffix in _STORAGES)
+    return sorted(path for path in folder.iterdir() if path.suffix in STORAGES)

@@ -16,9 +16,12 @@ from rosbags.typesys.stores import ros2_humble as ros
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuModel, ImuSamples, Times
+from dronevio.models.lenses.lens import LENSES
+from dronevio.models.recordings.bag.encodings import ENCODINGS, grey_pixels
 from dronevio.models.recordings.bag.rectification import Rectification
-from dronevio.models.recordings.calibration.euroc import LENS_NAMES
-from dronevio.models.recordings.images import DamagedImageError, decode_grey, encode_png
+from dronevio.models.recordings.bit_depth import DeepImage
+from dronevio.models.recordings.calibration.camera_fields import LENS_NAMES
+from dronevio.models.recordings.images import DamagedImageError, decode_deep_grey, encode_png
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import inverse_pose, log_so3, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
@@ -35,17 +38,8 @@ WORLD, VEHICLE, IMU, CAMERA = "world", "base_link", "imu0", "cam{}"
 LAST_NS = 2**31 * 10**9
 """Upper limit of time stamps in ROS, whose seconds have 31 bits [ns]."""
 
-# Bytes per pixel, and OpenCV's conversion code to grey.
-_ENCODINGS: dict[str, tuple[int, str]] = {
-    "mono8": (1, ""),
-    "8UC1": (1, ""),
-    "bgr8": (3, "COLOR_BGR2GRAY"),
-    "8UC3": (3, "COLOR_BGR2GRAY"),
-    "rgb8": (3, "COLOR_RGB2GRAY"),
-    "bgra8": (4, "COLOR_BGRA2GRAY"),
-    "rgba8": (4, "COLOR_RGBA2GRAY"),
-}
-_ROS_LENSES = {"radtan": "plumb_bob", "equidistant": "equidistant"}
+_ROS_LENSES = {**LENS_NAMES, "": "radtan", "fisheye": "equidistant"}
+_LENGTHS = {0, 4, 5, 8}  # of the coefficients, which zeros may follow
 _UNKNOWN = -1.0  # in the first element of a covariance, for missing data (sensor_msgs/Imu)
 
 
@@ -69,7 +63,23 @@ def stamp_ns(raw: bytes) -> int:
     """
     if len(raw) < 12 or raw[:2] not in (b"\0\0", b"\0\1"):
         raise ValueError("a message that does not begin with a time stamp")
-    sec, nanosec = struct.unpack_from("<iI" if raw[1] else ">iI", raw, 4)
+    return _time_ns("<iI" if raw[1] else ">iI", raw, 4)
+
+
+def ros1_stamp_ns(raw: bytes) -> int:
+    """Return the time stamp [ns] of a message of ROS 1 that begins with a header, a counter and the time stamp.
+
+    Raises:
+        ValueError: The message does not begin with a header.
+    """
+    if len(raw) < 12:
+        raise ValueError("a message that does not begin with a time stamp")
+    return _time_ns("<II", raw, 4)
+
+
+def _time_ns(form: str, raw: bytes, at: int) -> int:
+    """Return the time [ns] of seconds and nanoseconds at a place of a message, or raise ValueError."""
+    sec, nanosec = struct.unpack_from(form, raw, at)
     if nanosec >= 10**9:
         raise ValueError(f"a time stamp with {nanosec} ns in addition to its seconds")
     return int(sec) * 10**9 + int(nanosec)
@@ -159,18 +169,23 @@ def camera_info(
 ) -> ros.sensor_msgs__msg__CameraInfo:
     """Return the intrinsics of a camera as a message, which has no field for the readout time.
 
+    ROS has names for ``radtan`` (``plumb_bob``, with eight coefficients ``rational_polynomial``) and ``equidistant``
+    only; the others have ours, which programs of ROS do not know.
+
     Args:
         model: The camera.
         t_ns: Time stamp [ns].
         frame: Frame of reference.
         rectification: Rotation and projection of the rectified camera; those of the camera itself by default.
     """
-    k = [*model.distortion, 0.0] if model.lens == "radtan" else model.distortion  # plumb_bob has k3
+    name, k = str(model.lens), list(model.distortion)
+    if model.lens == "radtan":
+        name, k = ("rational_polynomial", k) if len(k) == 8 else ("plumb_bob", [*k, 0.0][:5])  # plumb_bob has k3
     return ros.sensor_msgs__msg__CameraInfo(
         header=header(t_ns, frame),
         height=model.height,
         width=model.width,
-        distortion_model=_ROS_LENSES[model.lens],
+        distortion_model=name,
         d=np.array(k),
         k=model.K.ravel(),
         r=(rectification.R if rectification else np.eye(3)).ravel(),
@@ -193,17 +208,19 @@ def camera_model(path: Path, topic: str, info: ros.sensor_msgs__msg__CameraInfo)
         InputError: The lens model is not supported, or the camera is not calibrated.
     """
     d = tuple(float(value) for value in info.d)
-    name = {"": "plumb_bob", "fisheye": "equidistant", "rational_polynomial": "plumb_bob"}.get(
-        info.distortion_model, info.distortion_model
-    )
-    if name not in LENS_NAMES:
-        raise InputError(path, f"{topic}: distortion_model {info.distortion_model!r}", "plumb_bob or equidistant")
-    if any(d[4:]) or len(d) not in (0, 4, 5, 8):
-        raise InputError(path, f"{topic}: distortion coefficients {list(d)}", "four, followed by zeros")
+    name = _ROS_LENSES.get(info.distortion_model, info.distortion_model)
+    if name not in LENSES:
+        expected = "plumb_bob, rational_polynomial or equidistant"
+        raise InputError(path, f"{topic}: distortion_model {info.distortion_model!r}", expected)
+    counts = LENSES[name].COUNTS
+    if any(d[counts[-1] :]) or len(d) not in _LENGTHS.union(counts):
+        found = f"{topic}: distortion coefficients {list(d)}"
+        raise InputError(path, found, f"{' or '.join(map(str, counts))}, possibly followed by zeros")
+    count = next(count for count in counts if not any(d[count:]))
+    k = (*d[:count], *(count - len(d)) * (0.0,))
     fx, fy, cx, cy = (float(info.k[i]) for i in (0, 4, 2, 5))
-    k = (*d[:4], 0.0, 0.0, 0.0, 0.0)
     try:
-        return CameraModel(info.width, info.height, fx, fy, cx, cy, (k[0], k[1], k[2], k[3]), LENS_NAMES[name])
+        return CameraModel(info.width, info.height, fx, fy, cx, cy, k, name)
     except ConfigError as error:
         raise InputError(path, f"{topic}: {str(error).partition('; ')[0]}", "a calibrated camera") from None
 
@@ -222,11 +239,11 @@ def is_grey_or_colour(message: ImageMessage) -> bool:
     """Return whether a message is an image that `grey_image` can read, which a depth image is not."""
     if isinstance(message, ros.sensor_msgs__msg__CompressedImage):
         return "compressedDepth" not in message.format
-    return message.encoding in _ENCODINGS
+    return message.encoding in ENCODINGS
 
 
-def grey_image(path: Path, where: str, message: ImageMessage, width: int, height: int) -> Image:
-    """Return the grey image (height, width) of a message.
+def grey_image(path: Path, where: str, message: ImageMessage, width: int, height: int) -> DeepImage:
+    """Return the grey image (height, width) of a message, with 8 or 16 bits as it is stored.
 
     Args:
         path: The bag, for error messages.
@@ -238,39 +255,34 @@ def grey_image(path: Path, where: str, message: ImageMessage, width: int, height
     Raises:
         InputError: The image is damaged, or has another size or encoding.
     """
-    import cv2
-
     if isinstance(message, ros.sensor_msgs__msg__CompressedImage):
-        return decode_grey(path, message.data.tobytes(), width, height, f"{where}: ")
-    if message.encoding not in _ENCODINGS:
+        return decode_deep_grey(path, message.data.tobytes(), width, height, f"{where}: ")
+    encoding = ENCODINGS.get(message.encoding)
+    if encoding is None:
         found = f"{where}: an image with encoding {message.encoding!r}"
-        raise InputError(path, found, f"eight bits per channel: {', '.join(_ENCODINGS)}")
+        raise InputError(path, found, f"one of {', '.join(ENCODINGS)}")
     if (message.width, message.height) != (width, height):
         found = f"{where}: an image of {message.width} × {message.height} px"
         raise InputError(path, found, f"an image of {width} × {height} px")
-    channels, to_grey = _ENCODINGS[message.encoding]
-    if message.step < width * channels or len(message.data) != message.step * height:
+    if message.step < width * encoding.pixel_bytes or len(message.data) != message.step * height:
         found = f"{where}: an image of {len(message.data)} bytes in rows of {message.step}"
-        raise DamagedImageError(path, found, f"{height} rows of at least {width * channels} bytes")
-    rows = message.data.reshape(height, message.step)[:, : width * channels]
-    if not to_grey:
-        return np.ascontiguousarray(rows)
-    pixels = np.ascontiguousarray(rows).reshape(height, width, channels)
-    return np.asarray(cv2.cvtColor(pixels, getattr(cv2, to_grey)), dtype=np.uint8)
+        raise DamagedImageError(path, found, f"{height} rows of at least {width * encoding.pixel_bytes} bytes")
+    return grey_pixels(encoding, message.data, message.step, bool(message.is_bigendian), width)
 
 
-def imu_samples(messages: Sequence[ros.sensor_msgs__msg__Imu]) -> tuple[Array, Array]:
+def imu_halves(messages: Sequence[ros.sensor_msgs__msg__Imu]) -> tuple[Array | None, Array | None]:
     """Return angular velocities (N, 3) [rad/s] and specific forces (N, 3) [m/s²] of N messages.
 
-    Raises:
-        ValueError: A message has no angular velocity or no linear acceleration.
+    A half whose covariance says in any message that it is missing is None.
     """
-    if any(m.angular_velocity_covariance[0] == _UNKNOWN or m.linear_acceleration_covariance[0] == _UNKNOWN
-           for m in messages):  # fmt: skip
-        raise ValueError("IMU messages without angular velocity or linear acceleration")
     gyro = [(m.angular_velocity.x, m.angular_velocity.y, m.angular_velocity.z) for m in messages]
     accel = [(m.linear_acceleration.x, m.linear_acceleration.y, m.linear_acceleration.z) for m in messages]
-    return np.array(gyro).reshape(-1, 3), np.array(accel).reshape(-1, 3)
+    has_gyro = all(m.angular_velocity_covariance[0] != _UNKNOWN for m in messages)
+    has_accel = all(m.linear_acceleration_covariance[0] != _UNKNOWN for m in messages)
+    return (
+        np.array(gyro).reshape(-1, 3) if has_gyro else None,
+        np.array(accel).reshape(-1, 3) if has_accel else None,
+    )
 
 
 def position_and_quat_wxyz(message: PoseMessage) -> tuple[float, ...]:

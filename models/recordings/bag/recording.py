@@ -1,4 +1,4 @@
-"""Reading of recordings from ROS 2 bags.
+"""Reading of recordings from bags of ROS 1 and ROS 2.
 
 Topics are found by their message type. Bags that this package wrote are read without loss of precision; for others, the
 calibration that is not in the bag (IMU noise, often the extrinsics of the cameras) comes from Kalibr's files. Times are
@@ -9,19 +9,20 @@ Opening a bag reads the time stamp of each image; `BagRecording.frame` decodes t
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 import numpy.typing as npt
-from rosbags.typesys.stores import ros2_humble as ros
 
 from dronevio.models.defects import Defect, DefectKind
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel, ImuSamples, Sampling, Times
 from dronevio.models.recordings.bag.file import BagFile
-from dronevio.models.recordings.bag.messages import ImageMessage, grey_image, imu_samples
+from dronevio.models.recordings.bag.imu import read_imu_rows
+from dronevio.models.recordings.bag.messages import ImageMessage, grey_image
 from dronevio.models.recordings.bag.missing import MissingParts
 from dronevio.models.recordings.bag.options import BagTopics
 from dronevio.models.recordings.bag.rig import bag_rig, read_calibrations
@@ -29,6 +30,7 @@ from dronevio.models.recordings.bag.stamps import TopicStamps
 from dronevio.models.recordings.bag.topics import IMAGE_TYPES, IMU_TYPES, find_topics, image_topics, truth_topic
 from dronevio.models.recordings.bag.truth import read_bag_frame_truth, read_bag_truth
 from dronevio.models.recordings.bag.writer import TRUTH_TOPIC
+from dronevio.models.recordings.bit_depth import MAX_BITS, DeepImage, significant_bits, spread, to_8bit
 from dronevio.models.recordings.frame_truth import FrameTruth
 from dronevio.models.recordings.images import DamagedImageError
 from dronevio.models.recordings.repair import (
@@ -50,7 +52,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class BagRecording:
-    """A recording in a ROS 2 bag; satisfies the `Recording` protocol."""
+    """A recording in a bag; satisfies the `Recording` protocol."""
 
     name: str
     """Name of the file or folder of the bag."""
@@ -95,7 +97,7 @@ class BagRecording:
         """Read everything except the images.
 
         Args:
-            path: An ``.mcap`` or ``.db3`` file, or a folder written by ``ros2 bag``.
+            path: A ``.bag``, ``.mcap`` or ``.db3`` file, or a folder written by ``ros2 bag``.
             cameras: Number of cameras to use; None for all.
             calibration: Calibration files of Kalibr, which replace the calibration in the bag.
             topics: Topics to read instead of those found by message type.
@@ -117,7 +119,7 @@ class BagRecording:
         selected = find_topics(bag, topics or BagTopics(), _calibrated_topics(bag, files), cameras, parts)
         if not selected.images or not selected.imu:
             bag_rig(bag, selected, read_calibrations(bag, files), 20.0, parts, imu)  # raises for all that is missing
-        imu_stamps, imu_values = _imu_rows(bag, selected.imu)
+        imu_stamps, imu_values = read_imu_rows(bag, selected.imu)
         streams = [imu_stamps, *(bag.stamps(topic) for topic in selected.images)]
         split = split_at_steps([each.t_ns for each in streams])
         if not repair:
@@ -209,16 +211,32 @@ class ImageTopic:
         self.t_ns: Times = t_ns[order]
         """(K,) Time stamps of the images, increasing [ns]."""
         self._stamps = stamps.selected(order)
+        self._bits: int | None = None  # significant bits of images of 16 bits, once there was one
         self._reader: BagFile | None = None
         self._following: Iterator[tuple[int, bytes]] = iter(())
 
     def image(self, row: int, width: int, height: int) -> npt.NDArray[np.uint8]:
         """Return the grey image (height, width) with index ``row`` in the order of time stamps.
 
+        Images of 16 bits are scaled by the range that occurs in those of the topic.
+
         Raises:
             DamagedImageError: The image is damaged.
             InputError: The image has another size or encoding.
         """
+        deep = self._stored(row, width, height)
+        if deep.dtype != np.uint8 and self._bits is None:
+            self._bits = significant_bits(self._readable(width, height))
+        return to_8bit(deep, self._bits or MAX_BITS)
+
+    def _readable(self, width: int, height: int) -> Iterator[DeepImage]:
+        """Yield some images of the topic as they are stored, of those that can be read."""
+        for row in spread(range(len(self.t_ns))):
+            with suppress(InputError):
+                yield self._stored(row, width, height)
+
+    def _stored(self, row: int, width: int, height: int) -> DeepImage:
+        """Return an image as it is stored; see `image`."""
         raw = self._message(row)
         try:
             message = cast(ImageMessage, self._bag.decode(self._topic, raw))
@@ -306,16 +324,6 @@ def _truths(bag: BagFile, topic: str, imu: TopicStamps, split: Split) -> tuple[T
         if len(own.steps) == len(split.steps):
             return tuple(read_bag_truth(bag, topic, rows) for rows in own.rows(1))
     return (read_bag_truth(bag, topic),) * count
-
-
-def _imu_rows(bag: BagFile, topic: str) -> tuple[TopicStamps, Array]:
-    """Return the time stamps of IMU samples and their values (N, 6), in the order of the bag, or raise InputError."""
-    stamps, messages = bag.listed_messages(topic)
-    try:
-        gyro, accel = imu_samples(cast("list[ros.sensor_msgs__msg__Imu]", messages))
-    except ValueError as error:
-        raise bag.error(f"{topic}: {error}", "both in each message") from None
-    return stamps, np.hstack([gyro, accel])
 
 
 def _imu_of(

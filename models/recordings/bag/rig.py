@@ -16,7 +16,8 @@ from dronevio.models.recordings.bag.missing import MissingParts, missing
 from dronevio.models.recordings.bag.options import BagTopics
 from dronevio.models.recordings.bag.topics import camera_info_topic
 from dronevio.models.recordings.bag.writer import CALIBRATION_TOPIC
-from dronevio.models.recordings.calibration.kalibr import KalibrCalibration, calibration_of, read_calibration
+from dronevio.models.recordings.calibration.calibration import Calibration
+from dronevio.models.recordings.calibration.reading import calibration_of, read_calibration
 from dronevio.models.recordings.calibration.yaml_document import parse_yaml
 from dronevio.models.recordings.files import as_input_error
 from dronevio.models.rig import Rig, RigCamera
@@ -28,12 +29,12 @@ _TF_TYPE, _STRING_TYPE, _INFO_TYPE = "tf2_msgs/msg/TFMessage", "std_msgs/msg/Str
 _UNIT_TOLERANCE = 1e-3
 
 
-def read_calibrations(bag: BagFile, files: Sequence[Path], rate_hz: float = 20.0) -> list[KalibrCalibration]:
+def read_calibrations(bag: BagFile, files: Sequence[Path], rate_hz: float = 20.0) -> list[Calibration]:
     """Return the calibrations of a bag in the order of their precedence: that of files, that of ``/calibration``.
 
     Args:
         bag: The bag.
-        files: Calibration files of Kalibr.
+        files: Calibration files of Kalibr or Basalt.
         rate_hz: Frame rate of cameras without one in their calibration [Hz].
 
     Raises:
@@ -50,7 +51,7 @@ def read_calibrations(bag: BagFile, files: Sequence[Path], rate_hz: float = 20.0
 def bag_rig(
     bag: BagFile,
     topics: BagTopics,
-    calibrations: Sequence[KalibrCalibration],
+    calibrations: Sequence[Calibration],
     rate_hz: float,
     parts: MissingParts,
     imu: ImuModel | None = None,
@@ -98,7 +99,7 @@ def bag_rig(
 def _cameras_of_messages(bag: BagFile, topics: BagTopics, rate_hz: float, parts: MissingParts) -> tuple[RigCamera, ...]:
     """Return the cameras according to CameraInfo and /tf_static; what is missing is added to ``parts``."""
     poses = _static_poses(bag)
-    imu_frame = _frame_of(bag, topics.imu) if topics.imu else None
+    imu_frame = _frame_of(bag, topics.imu[0]) if topics.imu else None
     cameras = []
     for topic in topics.images:
         info_topic = camera_info_topic(topic)

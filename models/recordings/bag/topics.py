@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import cast
 
 from dronevio.models.recordings.bag.file import BagFile
+from dronevio.models.recordings.bag.imu import halves_of, named_halves, pair_of
 from dronevio.models.recordings.bag.messages import ImageMessage, is_grey_or_colour
 from dronevio.models.recordings.bag.missing import MissingParts, missing
 from dronevio.models.recordings.bag.options import BagTopics
@@ -33,11 +34,11 @@ def find_topics(
         InputError: A topic has another message type, or is ambiguous.
     """
     images: tuple[str, ...] = ()
-    imu = ""
+    imu: tuple[str, ...] = ()
     with parts.collected():
         images = tuple(_checked(bag, topic, IMAGE_TYPES) for topic in requested.images) or image_topics(bag, calibrated)
     with parts.collected():
-        imu = _checked(bag, requested.imu, IMU_TYPES) if requested.imu else _imu_topic(bag)
+        imu = _requested_imu(bag, requested.imu) if requested.imu else _imu_topics(bag)
     truth = _checked(bag, requested.truth, POSE_TYPES) if requested.truth else truth_topic(bag)
     return BagTopics(images[:cameras], imu, truth)
 
@@ -88,16 +89,43 @@ def image_topics(bag: BagFile, calibrated: Sequence[str]) -> tuple[str, ...]:
     return found
 
 
-def _imu_topic(bag: BagFile) -> str:
-    """Return the topic of the IMU, or raise InputError."""
+def _requested_imu(bag: BagFile, topics: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the selected topic of the IMU, or those of gyroscope and accelerometer; or raise InputError."""
+    checked = tuple(_checked(bag, topic, IMU_TYPES) for topic in topics)
+    if len(checked) == 1:
+        return _whole(bag, checked[0])
+    pair = pair_of(bag, checked) if len(checked) == 2 else None
+    if pair is None:
+        raise bag.error(f"--topics.imu {' '.join(checked)}", "one IMU, or one gyroscope and one accelerometer")
+    return pair
+
+
+def _imu_topics(bag: BagFile) -> tuple[str, ...]:
+    """Return the topic of the IMU, or those of its gyroscope and accelerometer, or raise InputError."""
     found = bag.topics_of_type(*IMU_TYPES)
     if IMU_TOPIC in found:
-        return IMU_TOPIC
+        return (IMU_TOPIC,)
     if not found:
         raise missing(bag, f"no IMU among the topics {_listed(tuple(bag.topics))}", IMU_TYPES[0])
-    if len(found) > 1:
-        raise bag.error(f"several IMUs, {_listed(found)}", "one, or a selection (--topics.imu)")
-    return found[0]
+    if len(found) == 1:
+        return _whole(bag, found[0])
+    whole = tuple(topic for topic in found if halves_of(bag, topic) == "both")
+    if len(whole) == 1:
+        return whole
+    pair = None if whole else pair_of(bag, found)
+    if pair is None:
+        raise bag.error(f"several IMUs, {_listed(found)}", "one, or one gyroscope and one accelerometer (--topics.imu)")
+    return pair
+
+
+def _whole(bag: BagFile, topic: str) -> tuple[str]:
+    """Return the only topic of an IMU, or raise InputError if its name is that of one half."""
+    half = named_halves(topic)
+    if half != "both":
+        lacking = "an accelerometer" if half == "gyro" else "a gyroscope"
+        expected = "two topics with both (--topics.imu GYROSCOPE ACCELEROMETER)"
+        raise missing(bag, f"{topic} without {lacking}", expected)
+    return (topic,)
 
 
 def truth_topic(bag: BagFile) -> str:

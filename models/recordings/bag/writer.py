@@ -44,7 +44,8 @@ from dronevio.models.recordings.bag.messages import (
     vector_messages,
 )
 from dronevio.models.recordings.bag.rectification import rectifications
-from dronevio.models.recordings.calibration.kalibr import CAMERA_TOPIC, IMU_TOPIC, camchain_yaml, imu_yaml, indented
+from dronevio.models.recordings.calibration.kalibr import CAMERA_TOPIC, IMU_TOPIC, camchain_yaml, imu_yaml
+from dronevio.models.recordings.calibration.yaml_text import indented
 from dronevio.models.recordings.frame_truth import FrameTruth, frame_truth_text
 from dronevio.models.state import Trajectory
 

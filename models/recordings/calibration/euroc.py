@@ -1,6 +1,7 @@
 """Calibration files of an EuRoC folder: cameras, IMU and body.
 
 As in the data set, the files have no first line ``%YAML:1.0``, which PyYAML refuses; files with it are read as well.
+Lenses that the data set does not have are described as in Kalibr's files (`camera_fields`).
 
 Fields of a `Rig` that the format does not include are written under additional keys, which other readers ignore:
 ``T_vehicle_imu`` (pose of the IMU in the vehicle frame) and ``time_offset_s`` (t_imu − t_cam) in ``body.yaml``,
@@ -13,24 +14,16 @@ from typing import cast
 
 import numpy as np
 
-from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel, Sampling
-from dronevio.models.lenses.lens import LensName
+from dronevio.models.recordings.calibration.camera_fields import camera_model_yaml, read_camera_model
 from dronevio.models.recordings.calibration.imu_fields import imu_fields_yaml, read_imu_fields
-from dronevio.models.recordings.calibration.sensor_yaml import SensorYaml, pose_yaml, read_sensor_yaml, yaml_text
+from dronevio.models.recordings.calibration.yaml_document import YamlDocument, read_yaml
+from dronevio.models.recordings.calibration.yaml_text import pose_yaml, yaml_text
 from dronevio.models.recordings.files import as_input_error
 from dronevio.models.rig import Rig, RigCamera
 
-LENS_NAMES: dict[str, LensName] = {
-    "radial-tangential": "radtan",
-    "radtan": "radtan",
-    "plumb_bob": "radtan",
-    "equidistant": "equidistant",
-}
-"""Lens models by their names in data sets, Kalibr and ROS."""
-
-_EUROC_NAMES: dict[LensName, str] = {"radtan": "radial-tangential", "equidistant": "equidistant"}
+_COEFFICIENTS = "distortion_coefficients"
 
 
 def read_euroc_rig(mav0: Path, cameras: int) -> Rig:
@@ -39,11 +32,11 @@ def read_euroc_rig(mav0: Path, cameras: int) -> Rig:
     Raises:
         InputError: A file or field is missing or invalid, or a camera model is not supported.
     """
-    body = read_sensor_yaml(mav0 / "body.yaml") if (mav0 / "body.yaml").exists() else SensorYaml(mav0, {}, {})
+    body = read_yaml(mav0 / "body.yaml") if (mav0 / "body.yaml").exists() else YamlDocument(mav0, {}, {})
     with as_input_error(mav0):
         return Rig(
-            cameras=tuple(_read_camera(read_sensor_yaml(mav0 / f"cam{i}" / "sensor.yaml")) for i in range(cameras)),
-            imu=_read_imu(read_sensor_yaml(mav0 / "imu0" / "sensor.yaml")),
+            cameras=tuple(_read_camera(read_yaml(mav0 / f"cam{i}" / "sensor.yaml")) for i in range(cameras)),
+            imu=_read_imu(read_yaml(mav0 / "imu0" / "sensor.yaml")),
             T_vehicle_imu=body.pose("T_vehicle_imu") if "T_vehicle_imu.data" in body else np.eye(4),
             time_offset_s=body.number("time_offset_s") if "time_offset_s" in body else 0.0,
         )
@@ -55,7 +48,7 @@ def read_euroc_sampling(mav0: Path) -> Sampling:
     Raises:
         InputError: The file is missing or invalid.
     """
-    yaml = read_sensor_yaml(mav0 / "imu0" / "sensor.yaml")
+    yaml = read_yaml(mav0 / "imu0" / "sensor.yaml")
     if "sampling" not in yaml:
         return "point"
     if yaml.values["sampling"] not in ("point", "increment"):
@@ -81,27 +74,15 @@ def calibration_files(rig: Rig, sampling: Sampling = "point") -> dict[str, str]:
     return texts
 
 
-def _read_camera(yaml: SensorYaml) -> RigCamera:
+def _read_camera(yaml: YamlDocument) -> RigCamera:
     """Return the camera of a ``sensor.yaml``, or raise InputError."""
-    if yaml.word("camera_model") != "pinhole":
-        raise yaml.error("camera_model", "pinhole, the only supported model")
-    lens = yaml.word("distortion_model")
-    if lens not in LENS_NAMES:
-        raise yaml.error("distortion_model", f"one of {', '.join(LENS_NAMES)}")
-    size = yaml.numbers("resolution", 2)
-    if any(side < 1 or side != int(side) for side in size):
-        raise yaml.error("resolution", "width and height in whole pixels")
-    fx, fy, cx, cy = yaml.numbers("intrinsics", 4)
-    if min(fx, fy) <= 0.0:
-        raise yaml.error("intrinsics", "fu, fv, cu, cv with positive focal lengths")
-    k = yaml.numbers("distortion_coefficients", 4)
+    model = read_camera_model(yaml, _COEFFICIENTS)
     readout_s = yaml.number("readout_s") if "readout_s" in yaml else 0.0
     with as_input_error(yaml.path):
-        model = CameraModel(int(size[0]), int(size[1]), fx, fy, cx, cy, (k[0], k[1], k[2], k[3]), LENS_NAMES[lens])
         return RigCamera(model, yaml.pose("T_BS"), yaml.positive("rate_hz"), readout_s)
 
 
-def _read_imu(yaml: SensorYaml) -> ImuModel:
+def _read_imu(yaml: YamlDocument) -> ImuModel:
     """Return the IMU of a ``sensor.yaml``, or raise InputError."""
     if "T_BS.data" in yaml and not np.array_equal(yaml.pose("T_BS"), np.eye(4)):
         raise yaml.error("T_BS.data", "the identity, because the body frame is that of the IMU")
@@ -110,16 +91,11 @@ def _read_imu(yaml: SensorYaml) -> ImuModel:
 
 def _camera_yaml(camera: RigCamera) -> str:
     """Return the ``sensor.yaml`` of a camera."""
-    m = camera.model
     return (
         "sensor_type: camera\ncomment: pixel centres are whole numbers\n\n"
         f"# pose of the camera (x right, y down, z forward) in the body frame\n{pose_yaml('T_BS', camera.T_imu_cam)}\n"
         f"rate_hz: {yaml_text(float(camera.rate_hz))}\n"
-        f"resolution: [{m.width}, {m.height}]\n"
-        "camera_model: pinhole\n"
-        f"intrinsics: {yaml_text(tuple(map(float, (m.fx, m.fy, m.cx, m.cy))))} # fu, fv, cu, cv\n"
-        f"distortion_model: {_EUROC_NAMES[m.lens]}\n"
-        f"distortion_coefficients: {yaml_text(tuple(map(float, m.distortion)))}\n"
+        f"{camera_model_yaml(camera.model, _COEFFICIENTS, 'radial-tangential')}"
     ) + (f"readout_s: {yaml_text(float(camera.readout_s))} # first to last row\n" if camera.readout_s else "")
 
 

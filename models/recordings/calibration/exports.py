@@ -15,6 +15,8 @@ import numpy.typing as npt
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Times
+from dronevio.models.lenses.lens import LENSES, LensName
+from dronevio.models.recordings.calibration.basalt import basalt_json
 from dronevio.models.recordings.calibration.euroc import calibration_files
 from dronevio.models.recordings.calibration.kalibr import (
     CAMCHAIN_FILE,
@@ -23,12 +25,10 @@ from dronevio.models.recordings.calibration.kalibr import (
     IMU_TOPIC,
     camchain_yaml,
     imu_yaml,
-    indented,
-    rows_yaml,
 )
-from dronevio.models.recordings.calibration.sensor_yaml import yaml_text
+from dronevio.models.recordings.calibration.yaml_text import indented, rows_yaml, yaml_text
 from dronevio.models.rig import Rig
-from dronevio.models.rotation import inverse_pose, quat_wxyz_from_matrix
+from dronevio.models.rotation import inverse_pose
 
 Array = npt.NDArray[np.float64]
 
@@ -36,7 +36,12 @@ _OPENCV = "%YAML:1.0\n"
 
 
 def kalibr_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str, str]:
-    """Return the calibration files of Kalibr: ``camchain.yaml`` and ``imu.yaml``."""
+    """Return the calibration files of Kalibr: ``camchain.yaml`` and ``imu.yaml``.
+
+    Raises:
+        ConfigError: Kalibr has no such lens.
+    """
+    _require_lens(rig, "Kalibr", *LENSES)
     return {CAMCHAIN_FILE: camchain_yaml(rig), IMU_FILE: imu_yaml(rig)}
 
 
@@ -48,7 +53,11 @@ def openvins_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str
     exceeded a second too late or never, and the second taken for rest contains the beginning of the take-off. The
     threshold is therefore twice the deviation in the first second of the recording, between 0.2 and 1.5 m/s². Where
     there was no rest, OpenVINS initializes in motion (``init_dyn_use``).
+
+    Raises:
+        ConfigError: OpenVINS has no such lens.
     """
+    _require_lens(rig, "OpenVINS", "radtan", "equidistant")
     eye3, eye4, zero3 = np.eye(3), np.eye(4), np.zeros((3, 3))
     imu_chain = rows_yaml("T_i_b", eye4) + imu_yaml(rig) + 'time_offset: 0.0\nmodel: "kalibr"\n'
     for key, matrix in {"Tw": eye3, "R_IMUtoGYRO": eye3, "Ta": eye3, "R_IMUtoACC": eye3, "Tg": zero3}.items():
@@ -71,9 +80,10 @@ def vins_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str, st
     """Return the configuration of VINS-Fusion (Qin et al., 2019), as in ``config/euroc`` of its sources.
 
     Raises:
-        ConfigError: The rig has more than two cameras.
+        ConfigError: The rig has more than two cameras, or VINS-Fusion has no such lens.
     """
     _require_at_most_two(rig, "VINS-Fusion")
+    _require_lens(rig, "VINS-Fusion", "radtan", "equidistant", "omni", counts=(4, 5, 8))
     model, rate = rig.cameras[0].model, np.sqrt(rig.imu.rate_hz)
     text = f'{_OPENCV}imu: 1\nnum_of_cam: {len(rig.cameras)}\nimu_topic: "{IMU_TOPIC}"\n'
     for i, camera in enumerate(rig.cameras):
@@ -104,18 +114,20 @@ def orbslam3_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str
     ORB-SLAM3 has no setting for a time offset between camera and IMU.
 
     Raises:
-        ConfigError: The rig has more than two cameras, or cameras with different lens models.
+        ConfigError: The rig has more than two cameras, cameras with different lens models, or a lens that ORB-SLAM3
+            does not have.
     """
     _require_at_most_two(rig, "ORB-SLAM3")
+    _require_lens(rig, "ORB-SLAM3", "radtan", "equidistant", counts=(4, 5))
     first = rig.cameras[0]
     if any(camera.model.lens != first.model.lens for camera in rig.cameras):
         raise ConfigError("cameras with different lens models; expected the same for ORB-SLAM3")
     fisheye = first.model.lens == "equidistant"
-    terms = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2")
     text = f'{_OPENCV}File.version: "1.0"\nCamera.type: "{"KannalaBrandt8" if fisheye else "PinHole"}"\n'
     for i, camera in enumerate(rig.cameras, 1):
         m = camera.model
-        numbers = {"fx": m.fx, "fy": m.fy, "cx": m.cx, "cy": m.cy, **dict(zip(terms, m.distortion, strict=True))}
+        terms = zip(LENSES[m.lens].COEFFICIENTS, m.distortion, strict=False)
+        numbers = {"fx": m.fx, "fy": m.fy, "cx": m.cx, "cy": m.cy, **dict(terms)}
         text += "".join(f"Camera{i}.{name}: {yaml_text(float(value))}\n" for name, value in numbers.items())
         if fisheye:
             text += f"Camera{i}.overlappingBegin: 0\nCamera{i}.overlappingEnd: {m.width - 1}\n"
@@ -141,36 +153,22 @@ def orbslam3_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str
 
 
 def basalt_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str, str]:
-    """Return the calibration of Basalt (Usenko et al., RA-L 2020), as in ``data/*_calib.json`` of its sources."""
-    identity = _basalt_pose(np.eye(4))
-    calibration = {
-        "T_imu_cam": [_basalt_pose(camera.T_imu_cam) for camera in rig.cameras],
-        "intrinsics": [_basalt_camera(camera.model) for camera in rig.cameras],
-        "resolution": [[camera.model.width, camera.model.height] for camera in rig.cameras],
-        "vignette": [],
-        "calib_accel_bias": [0.0] * 9,
-        "calib_gyro_bias": [0.0] * 12,
-        "imu_update_rate": float(rig.imu.rate_hz),
-        "accel_noise_std": [float(rig.imu.accel_noise_density)] * 3,
-        "gyro_noise_std": [float(rig.imu.gyro_noise_density)] * 3,
-        "accel_bias_std": [float(rig.imu.accel_random_walk)] * 3,
-        "gyro_bias_std": [float(rig.imu.gyro_random_walk)] * 3,
-        "T_mocap_world": identity,
-        "T_imu_marker": identity,
-        "mocap_time_offset_ns": 0,
-        "mocap_to_imu_offset_ns": 0,
-        "cam_time_offset_ns": round(rig.time_offset_s * 1e9),
-    }
-    return {"calib.json": json.dumps({"value0": calibration}, indent=4) + "\n"}
+    """Return the calibration of Basalt (Usenko et al., RA-L 2020), as in ``data/*_calib.json`` of its sources.
+
+    Raises:
+        ConfigError: Basalt has no such lens.
+    """
+    return {"calib.json": basalt_json(rig)}
 
 
 def kimera_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str, str]:
     """Return the calibration of Kimera-VIO (Rosinol et al., ICRA 2020), which replaces files of its ``params/Euroc``.
 
     Raises:
-        ConfigError: The rig has more than two cameras.
+        ConfigError: The rig has more than two cameras, or Kimera has no such lens.
     """
     _require_at_most_two(rig, "Kimera-VIO")
+    _require_lens(rig, "Kimera-VIO", "radtan", "equidistant")
     texts = calibration_files(rig)
     files = {"ImuParams.yaml": _kimera_imu(texts["imu0/sensor.yaml"], rig.time_offset_s)}
     for i, side in zip(range(len(rig.cameras)), ("left", "right"), strict=False):
@@ -279,6 +277,17 @@ def _require_at_most_two(rig: Rig, program: str) -> None:
         raise ConfigError(f"{len(rig.cameras)} cameras; expected one or two for {program}")
 
 
+def _require_lens(rig: Rig, program: str, *lenses: LensName, counts: tuple[int, ...] = (4,)) -> None:
+    """Raise ConfigError unless a program has the lenses of a rig, ``radtan`` with one of the counts of coefficients."""
+    for camera in rig.cameras:
+        lens, count = camera.model.lens, len(camera.model.distortion)
+        if lens not in lenses:
+            raise ConfigError(f"camera lens {lens}; expected one of {', '.join(lenses)} for {program}")
+        if lens == "radtan" and count not in counts:
+            expected = " or ".join(map(str, counts))
+            raise ConfigError(f"camera lens radtan with {count} coefficients; expected {expected} for {program}")
+
+
 def _opencv_matrix(key: str, matrix: Array, kind: str) -> str:
     """Return the lines of a matrix in OpenCV's format, of doubles (``d``) or floats (``f``)."""
     rows, cols = matrix.shape
@@ -288,40 +297,31 @@ def _opencv_matrix(key: str, matrix: Array, kind: str) -> str:
 
 def _camodocal_yaml(m: CameraModel) -> str:
     """Return the text of a camera in the format of camodocal, which VINS-Fusion uses."""
+    names = tuple(LENSES[m.lens].COEFFICIENTS)[: len(m.distortion)]
+    distortion: dict[str, float] = {}
+    projection: dict[str, float] = {}
+    mirror: dict[str, float] = {}
     if m.lens == "equidistant":  # its k2 to k5 are k1 to k4 elsewhere
-        kind, distortion = "KANNALA_BRANDT", dict[str, float]()
+        kind = "KANNALA_BRANDT"
         projection = dict(zip(("k2", "k3", "k4", "k5"), m.distortion, strict=True))
         projection |= {"mu": m.fx, "mv": m.fy, "u0": m.cx, "v0": m.cy}
+    elif m.lens == "omni":
+        kind, mirror, distortion = "MEI", {"xi": m.distortion[0]}, dict(zip(names[1:], m.distortion[1:], strict=True))
+        projection = {"gamma1": m.fx, "gamma2": m.fy, "u0": m.cx, "v0": m.cy}
     else:
-        kind, projection = "PINHOLE", {"fx": m.fx, "fy": m.fy, "cx": m.cx, "cy": m.cy}
-        distortion = dict(zip(("k1", "k2", "p1", "p2"), m.distortion, strict=True))
+        kind, distortion = "PINHOLE", dict(zip(names, m.distortion, strict=True))
+        if len(names) > 4:
+            kind, distortion = "PINHOLE_FULL", dict.fromkeys(LENSES[m.lens].COEFFICIENTS, 0.0) | distortion
+        projection = {"fx": m.fx, "fy": m.fy, "cx": m.cx, "cy": m.cy}
     text = f"{_OPENCV}---\nmodel_type: {kind}\ncamera_name: camera\nimage_width: {m.width}\nimage_height: {m.height}\n"
-    for name, numbers in (("distortion_parameters", distortion), ("projection_parameters", projection)):
+    for name, numbers in (
+        ("mirror_parameters", mirror),
+        ("distortion_parameters", distortion),
+        ("projection_parameters", projection),
+    ):
         lines = "".join(f"   {key}: {yaml_text(float(value))}\n" for key, value in numbers.items())
         text += f"{name}:\n{lines}" if lines else ""
     return text
-
-
-def _basalt_pose(T: Array) -> dict[str, float]:
-    """Return a pose in the format of Basalt."""
-    w, x, y, z = quat_wxyz_from_matrix(T[:3, :3]).tolist()
-    px, py, pz = T[:3, 3].tolist()
-    return {"px": px, "py": py, "pz": pz, "qx": x, "qy": y, "qz": z, "qw": w}
-
-
-def _basalt_camera(m: CameraModel) -> dict[str, object]:
-    """Return a camera in the format of Basalt."""
-    numbers = {"fx": float(m.fx), "fy": float(m.fy), "cx": float(m.cx), "cy": float(m.cy)}
-    if m.lens == "equidistant":
-        return {
-            "camera_type": "kb4",
-            "intrinsics": numbers | dict(zip(("k1", "k2", "k3", "k4"), map(float, m.distortion), strict=True)),
-        }
-    if not any(m.distortion):
-        return {"camera_type": "pinhole", "intrinsics": numbers}
-    terms = dict(zip(("k1", "k2", "p1", "p2"), map(float, m.distortion), strict=True))
-    rest = {"k3": 0.0, "k4": 0.0, "k5": 0.0, "k6": 0.0, "rpmax": 0.0}  # rpmax 0 means no limit of the undistortion
-    return {"camera_type": "pinhole-radtan8", "intrinsics": numbers | terms | rest}
 
 
 def _kimera_imu(sensor_yaml: str, time_offset_s: float) -> str:

@@ -7,7 +7,8 @@ the names of the other fields of `ImuModel` are additional keys, which other rea
 from dataclasses import fields
 
 from dronevio.models.imu import ImuModel
-from dronevio.models.recordings.calibration.sensor_yaml import SensorYaml, yaml_text
+from dronevio.models.recordings.calibration.yaml_document import YamlDocument
+from dronevio.models.recordings.calibration.yaml_text import yaml_text
 from dronevio.models.recordings.files import as_input_error
 
 _DENSITIES = {
@@ -34,7 +35,7 @@ _OTHER_ERRORS = tuple(
 _DEFAULTS = {field.name: field.default for field in fields(ImuModel)}
 
 
-def read_imu_fields(yaml: SensorYaml, name_key: str, rate_key: str, prefix: str = "") -> ImuModel:
+def read_imu_fields(yaml: YamlDocument, name_key: str, rate_key: str, prefix: str = "") -> ImuModel:
     """Return the IMU of a calibration file.
 
     Noise densities of zero are refused, because no filter can use them.

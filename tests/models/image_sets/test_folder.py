@@ -149,7 +149,7 @@ def test_gigantic_images_are_refused(tmp_path: Path) -> None:
     chunks = (b"IHDR" + struct.pack(">IIBBBBB", 100_000, 100_000, 8, 2, 0, 0, 0), b"IDAT" + zlib.compress(b"0" * 100))
     data = b"".join(struct.pack(">I", len(c) - 4) + c + struct.pack(">I", zlib.crc32(c)) for c in chunks)
     (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + data)
-    with pytest.raises(InputError, match=r"cannot be decoded .*decompression bomb"):
+    with pytest.raises(InputError, match="an image of 100000 × 100000 px, which needs 38147 MiB"):
         image_folder(tmp_path)
 
 
