@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from dronevio.eval.metrics.scores import ScoredTrajectory, Scores
     from dronevio.eval.run import EstimatorRun
     from dronevio.evaluation import ate, evaluate
+    from dronevio.inspection.inspection import inspect
+    from dronevio.inspection.model import Finding, Inspection
     from dronevio.models.camera import CameraModel
     from dronevio.models.errors import DronevioError
     from dronevio.models.imu import ImuModel, ImuSamples
@@ -50,10 +52,12 @@ __all__ = [
     "Estimate",
     "Estimator",
     "EstimatorRun",
+    "Finding",
     "Health",
     "ImuModel",
     "ImuRatePropagator",
     "ImuSamples",
+    "Inspection",
     "NavState",
     "Policy",
     "PolicyEvaluation",
@@ -76,6 +80,7 @@ __all__ = [
     "evaluate_policy",
     "fly",
     "fly_on_estimate",
+    "inspect",
     "load_policy",
     "measurements",
     "open_recording",
@@ -102,6 +107,8 @@ __getattr__, __dir__ = attach(
         "dronevio.eval.metrics.scores": ("ScoredTrajectory", "Scores"),
         "dronevio.eval.run": ("EstimatorRun",),
         "dronevio.evaluation": ("ate", "evaluate"),
+        "dronevio.inspection.inspection": ("inspect",),
+        "dronevio.inspection.model": ("Finding", "Inspection"),
         "dronevio.models.camera": ("CameraModel",),
         "dronevio.models.errors": ("DronevioError",),
         "dronevio.models.imu": ("ImuModel", "ImuSamples"),

@@ -27,6 +27,7 @@ COMMANDS = CommandGroup(
     {
         "run": Subcommand("dronevio.cli.run", "simulate a flight, estimate its motion, evaluate it and write a report"),
         "fly": Subcommand("dronevio.cli.fly", "simulate a flight and record its sensor data as an EuRoC folder"),
+        "inspect": Subcommand("dronevio.cli.inspect", "tell what a recording holds and what is wrong with it"),
         "estimate": Subcommand("dronevio.cli.estimate", "estimate the trajectory of a recording"),
         "evaluate": Subcommand("dronevio.cli.evaluate", "compute the errors of an estimate against the ground truth"),
         "benchmark": Subcommand("dronevio.cli.benchmark", "run estimators on many flights and tabulate their errors"),
