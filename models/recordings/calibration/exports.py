@@ -5,6 +5,7 @@ OpenVINS and VINS-Fusion. Each file has the fields and the settings of the EuRoC
 calibration is not estimated, because that of the rig is regarded as exact.
 """
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
