@@ -19,6 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 from dronevio.models.defects import DefectKind
 from dronevio.models.errors import InputError
 from dronevio.models.imu import Times
+from dronevio.models.imu_presets import BMI088
 from dronevio.models.recordings.bag.file import typestore
 from dronevio.models.recordings.bag.file_order import written_messages
 from dronevio.models.recordings.bag.stamps import TopicStamps
@@ -125,6 +126,22 @@ def test_a_segment_that_cannot_be_used_is_left_out(folder: Path, original: Any) 
     assert (
         "segment 2 of 3" in second.defects[0].description and "none of which is finite" in second.defects[0].description
     )
+
+
+def test_all_segments_have_the_imu_that_is_given(folder: Path) -> None:
+    edit(folder, lambda frame, t: t - (10**9 if frame >= 6 else 0))
+    for segment in segments_of(open_recording(folder, repair=True, imu=BMI088)):
+        assert segment.rig.imu.name == BMI088.name
+
+
+def test_the_time_offset_counts_where_steps_are_compared(tmp_path: Path, original: Any) -> None:
+    """Camera stamps that are an hour early belong to the IMU if the calibration says so."""
+    imu = replace(original.imu, t_ns=original.imu.t_ns + 3600 * 10**9)
+    rig = replace(original.rig, time_offset_s=3600.0)
+    write_euroc_recording(tmp_path / "late", replace(original, imu=imu, rig=rig, ground_truth=None))
+    edit(tmp_path / "late", lambda frame, t: t - (10**9 if frame >= 6 else 0))
+    recording = open_recording(tmp_path / "late", repair=True)
+    assert kinds(recording) == {DefectKind.CLOCK_STEP: 1} and len(recording.later) == 1
 
 
 @pytest.mark.parametrize("size", [2, 4, 8, 16])
