@@ -42,6 +42,8 @@ MIDDLE = 100
 """Frame from which on the clock has stepped."""
 
 Order = npt.NDArray[np.int64]
+Part = tuple[int | None, int | None]
+"""First frame of a part, and the one behind its last."""
 Change = Callable[[str, Times], tuple[Times, Order]]
 """Function of the name of a list and its stamps that returns new stamps and the order in which rows are written."""
 
@@ -253,8 +255,19 @@ def speed_m_s(run: EstimatorRun) -> float:
     return max((float(np.linalg.norm(state.velocity_m_s)) for state in states), default=0.0)
 
 
-def rows_of(name: str, case: Case, recording: Recording, cameras: int, folder: Path) -> list[tuple[str, ...]]:
-    """Return the rows of a case, one for each segment; the last column is what is wrong."""
+def rows_of(
+    name: str, case: Case, recording: Recording, cameras: int, folder: Path, references: dict[Part, float]
+) -> list[tuple[str, ...]]:
+    """Return the rows of a case, one for each segment; the last column is what is wrong.
+
+    Args:
+        name: Name of the case.
+        case: The copy to estimate.
+        recording: The original.
+        cameras: Number of cameras.
+        folder: Empty folder for the copy.
+        references: Errors of parts of the original that are known already, to which others are added [mm].
+    """
     truth = recording.ground_truth
     assert truth is not None
     try:
@@ -266,8 +279,10 @@ def rows_of(name: str, case: Case, recording: Recording, cameras: int, folder: P
     for number, segment in enumerate(segments):
         part, shift_s = case.parts[min(number, len(case.parts) - 1)]
         run = estimate_recording(segment, VisualInertialOdometry(segment.rig))
-        reference = Cut(recording, part)
-        cut = error_mm(estimate_recording(reference, VisualInertialOdometry(recording.rig)), truth, 0.0)
+        if (part.start, part.stop) not in references:
+            reference = estimate_recording(Cut(recording, part), VisualInertialOdometry(recording.rig))
+            references[part.start, part.stop] = error_mm(reference, truth, 0.0)
+        cut = references[part.start, part.stop]
         ate_mm, speed = error_mm(run, truth, shift_s), speed_m_s(run)
         if not ate_mm <= LARGEST_RATIO * cut:
             wrong.append(f"error {ate_mm / cut:.2f} ×")
@@ -288,9 +303,10 @@ def main(command: ClockStepsCommand) -> int:
     if recording.ground_truth is None:
         raise SystemExit(f"{command.recording}: no ground truth; expected a recording with the true motion")
     cases, rows = cases_of(command.recording, recording), []
+    references: dict[Part, float] = {}
     for name in command.cases or cases:
         with tempfile.TemporaryDirectory(prefix="dronevio-") as scratch:
-            rows += rows_of(name, cases[name], recording, command.cameras, Path(scratch))
+            rows += rows_of(name, cases[name], recording, command.cameras, Path(scratch), references)
     titles = ("copy", "frames", "first pose", "error", "cut by hand", "largest speed", "health", "defects", "wrong")
     print_table(f"{recording.name}, {command.cameras} cameras", titles, rows, left=("health", "defects", "wrong"))
     return int(any(row[-1] for row in rows))

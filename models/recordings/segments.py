@@ -124,9 +124,9 @@ def split_at_steps(streams: Sequence[Times], offsets_ns: Sequence[int] | None = 
 def clock_steps(t_ns: Times) -> tuple[Step, ...]:
     """Return the steps of a stream.
 
-    The time stamps fall by `MIN_FALL_S` or more from one row to the next, or exceed all since the last step by more
-    than `MIN_ADVANCE_S`, and `MIN_ROWS` rows go on from there. A row that is late, or far ahead, is no step: the rows
-    next to it undo its difference by at least half.
+    The time stamps fall by `MIN_FALL_S` or more from one row to the next, or advance by more than `MIN_ADVANCE_S`, and
+    `MIN_ROWS` rows go on from there. A row that is late, or far ahead, is no step: the rows next to it undo its
+    difference by at least half.
 
     Args:
         t_ns: (N,) Time stamps in the order of the rows [ns].
@@ -139,16 +139,12 @@ def clock_steps(t_ns: Times) -> tuple[Step, ...]:
     is_fall = changes <= -round(MIN_FALL_S * 1e9)
     if is_fall.sum() > max(1.0, _MAX_FALLS * len(t_ns)):
         return ()
-    min_advance_ns = round(MIN_ADVANCE_S * 1e9)
     steps: list[Step] = []
-    for before in np.flatnonzero(is_fall | (changes > min_advance_ns)).tolist():
+    for before in np.flatnonzero(is_fall | (changes > round(MIN_ADVANCE_S * 1e9))).tolist():
         row = before + 1
         neighbours = np.abs(np.concatenate([changes[max(before - 2, 0) : before], changes[row : row + MIN_ROWS - 1]]))
         goes_on = bool((neighbours < interval_ns + 0.5 * abs(int(changes[before]))).all())
-        if not goes_on or len(t_ns) - row < MIN_ROWS:
-            continue
-        newest_ns = int(t_ns[steps[-1].row if steps else 0 : row].max())
-        if is_fall[before] or int(t_ns[row]) - newest_ns > min_advance_ns:
+        if goes_on and len(t_ns) - row >= MIN_ROWS:
             steps.append(Step(row, int(t_ns[before]), int(t_ns[row]), interval_ns))
     return tuple(steps)
 

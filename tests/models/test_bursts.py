@@ -46,6 +46,16 @@ def test_a_burst_is_spread_evenly_since_the_stamp_before_it(bursts: list[tuple[i
             assert abs(int(mine[0]) - (ends[k - 1] + bursts[k][1] / counts[k])) <= 1
 
 
+def test_most_samples_decide_not_most_stamps() -> None:
+    """Between bursts of eight, two samples arrive alone."""
+    counts = np.tile([1, 1, 8], 10)
+    t_ns = np.arange(counts.sum(), dtype=np.int64) * DT_NS
+    ends = np.cumsum(counts) - 1
+    spread, first = spread_bursts(np.repeat(t_ns[ends], counts), samples(len(t_ns)))
+    np.testing.assert_array_equal(spread, t_ns)
+    assert len(first) == 10
+
+
 def test_a_gap_is_not_filled() -> None:
     t_ns = burst_stamps(np.arange(80, dtype=np.int64) * DT_NS, 8)
     t_ns[40:] += 10**9

@@ -19,12 +19,13 @@ from rosbags.typesys import Stores, get_typestore
 from dronevio.models.defects import DefectKind
 from dronevio.models.errors import InputError
 from dronevio.models.imu import Times
+from dronevio.models.imu_presets import BMI088
 from dronevio.models.recordings.bag.file import typestore
 from dronevio.models.recordings.bag.file_order import written_messages
 from dronevio.models.recordings.bag.stamps import TopicStamps
 from dronevio.models.recordings.bag.writer import write_bag
 from dronevio.models.recordings.euroc import EurocRecording, read_euroc_segment_times, write_euroc_recording
-from dronevio.models.recordings.open import open_recording, read_frame_times
+from dronevio.models.recordings.open import open_recording, read_frame_times, read_trajectory
 from dronevio.models.recordings.segments import segments_of
 
 Make = Callable[..., Any]
@@ -127,6 +128,22 @@ def test_a_segment_that_cannot_be_used_is_left_out(folder: Path, original: Any) 
     )
 
 
+def test_all_segments_have_the_imu_that_is_given(folder: Path) -> None:
+    edit(folder, lambda frame, t: t - (10**9 if frame >= 6 else 0))
+    for segment in segments_of(open_recording(folder, repair=True, imu=BMI088)):
+        assert segment.rig.imu.name == BMI088.name
+
+
+def test_the_time_offset_counts_where_steps_are_compared(tmp_path: Path, original: Any) -> None:
+    """Camera stamps that are an hour early belong to the IMU if the calibration says so."""
+    imu = replace(original.imu, t_ns=original.imu.t_ns + 3600 * 10**9)
+    rig = replace(original.rig, time_offset_s=3600.0)
+    write_euroc_recording(tmp_path / "late", replace(original, imu=imu, rig=rig, ground_truth=None))
+    edit(tmp_path / "late", lambda frame, t: t - (10**9 if frame >= 6 else 0))
+    recording = open_recording(tmp_path / "late", repair=True)
+    assert kinds(recording) == {DefectKind.CLOCK_STEP: 1} and len(recording.later) == 1
+
+
 @pytest.mark.parametrize("size", [2, 4, 8, 16])
 def test_bursts_are_spread(folder: Path, original: Any, size: int) -> None:
     table = folder / "mav0" / "imu0" / "data.csv"
@@ -217,6 +234,8 @@ def test_a_bag_is_split_in_the_order_in_which_it_was_written(
             np.testing.assert_array_equal(segment.frame(k).images[1], original.frame(row).images[1])
         assert segment.ground_truth is not None
         p = segment.ground_truth.p_world_imu
+        read = read_trajectory(tmp_path / "bag", segment.frame_times_ns).p_world_imu
+        np.testing.assert_array_equal(read, p if change_ns < 0 else original.ground_truth.p_world_imu)
         own = (
             original.ground_truth.p_world_imu[: len(p)]
             if shift_ns == 0

@@ -175,6 +175,14 @@ def test_a_block_of_late_images_is_sorted() -> None:
     np.testing.assert_array_equal(split.stamps[1], of[1])
 
 
+def test_a_step_back_of_one_is_not_the_pause_of_another() -> None:
+    """The IMU goes from 10 s to 7 s, the cameras go from 7 s to 10 s."""
+    of = [stepped(t_ns + 4 * 10**9, 10 * 10**9, -3 * 10**9) for t_ns in streams()]
+    paused = [t_ns[(t_ns < 7 * 10**9) | (t_ns >= 10 * 10**9)] for t_ns in (t + 4 * 10**9 for t in streams())]
+    split = split_at_steps([of[0], *paused[1:]])
+    assert split.steps == () and len(split.lone[0]) == 1
+
+
 def test_offsets_count_where_steps_are_compared() -> None:
     of = [stepped(t_ns, 6 * 10**9, -3 * 10**9) for t_ns in streams()]
     late = [of[0], of[1] - 3600 * 10**9, of[2] - 3600 * 10**9]
