@@ -132,6 +132,7 @@ def show_similar(command: SimilarCommand) -> int:
             errors += [each.ate_m / s**2 for each in outcomes]
             name = f"{rate_hz:g} Hz" + (f", {1e3 * jitter_s:g} ms of jitter" if jitter_s else "")
             rows.append((name, *(each.text(s**2) for each in outcomes)))
+            print(*rows[-1], sep=" | ", file=sys.stderr, flush=True)
         title = f"{recording.name}, {count} camera{'s' if count > 1 else ''}: first pose, and ATE / s²"
         print_table(title, ("", *(f"from {start_s:g} s" for start_s in command.starts_s)), rows)
         in_time, largest_m = float(np.mean(starts)), max(errors)
@@ -189,6 +190,7 @@ def show_worlds(command: WorldsCommand) -> int:
             late += [each.first_s - at_20_hz.first_s for each in outcomes.values()]
             ratios += [each.ate_m / at_20_hz.ate_m for each in outcomes.values()]
             rows.append((f"{world}, from {start_s:g} s", *(each.text() for each in outcomes.values())))
+            print(*rows[-1], sep=" | ", file=sys.stderr, flush=True)
     print_table("First pose and ATE", ("", *(f"{rate} Hz" for rate in command.rates_hz)), rows)
     print(summary(late, ratios))
     return int(max(late) > MAX_LATER_S or max(ratios) > MAX_RATIO)

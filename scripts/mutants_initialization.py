@@ -153,7 +153,15 @@ INITIALIZATION = (
         "estimator/initialization/views.py",
         "np.linspace(0, len(window) - 1, min(",
         "np.linspace(0, 0.7 * (len(window) - 1), min(",
-        ("tests/estimator/initialization/test_robust_start.py",),
+        ("tests/estimator/initialization/test_initializer.py",),
+    ),
+    Mutant(
+        "start-landmarks-of-one-frame",
+        "Initialization in motion: of a window of few frames, landmarks of one frame are used.",
+        "estimator/initialization/views.py",
+        "max(min(min_observations, len(used) // 2), 2)",
+        "min(min_observations, len(used) // 2)",
+        ("tests/estimator/initialization/test_initializer.py",),
     ),
     Mutant(
         "start-swapped-sensors-are-units",

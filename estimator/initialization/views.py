@@ -127,7 +127,8 @@ class WindowMeasurements:
             Ts_imu_cam: (C, 4, 4) Poses of the rig's cameras in the IMU frame.
             max_frames: Largest number of frames that are used, spread evenly over the window; those with matches are
                 used in any case.
-            min_observations: Smallest number of used frames in which a landmark must be observed; half of them suffice.
+            min_observations: Smallest number of used frames in which a landmark must be observed; half of them suffice,
+                but not one.
         """
         tracks = collect_tracks(window, max_frames, min_observations)
         return cls(tracks, ImuWindow(window, tracks.frame), Ts_imu_cam[tracks.camera])
@@ -159,7 +160,7 @@ def collect_tracks(window: Sequence[FramePacket], max_frames: int, min_observati
     used = [k for k, packet in enumerate(window) if k in spread or len(packet.observations.matches)]
     observations = [window[k].observations for k in used]
     ids, counts = np.unique(np.concatenate([frame.ids for frame in observations]), return_counts=True)
-    ids = ids[counts >= min(min_observations, len(used) // 2)]
+    ids = ids[counts >= max(min(min_observations, len(used) // 2), 2)]  # one observation determines nothing
     views: list[tuple[int, int, Array, npt.NDArray[np.bool_]]] = []
     for k, frame in zip(used, observations, strict=True):
         by_camera = [(frame.ids, frame.camera, frame.xy), (frame.matches.ids, frame.matches.camera, frame.matches.xy)]

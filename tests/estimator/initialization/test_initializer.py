@@ -18,7 +18,8 @@ from dronevio.estimator.initialization import initializer as module
 from dronevio.estimator.initialization.gauge import Gauge, LastPublished, WorldOrigin
 from dronevio.estimator.initialization.initializer import Initializer, InitializerConfig
 from dronevio.estimator.initialization.not_observable import FORCE_IS_NOT_GRAVITY, NotObservable
-from dronevio.estimator.types import NO_FEATURES, Calibration, FramePacket, Matches
+from dronevio.estimator.initialization.views import collect_tracks
+from dronevio.estimator.types import NO_FEATURES, Calibration, FramePacket, Matches, Observations
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import rig_named
@@ -246,3 +247,25 @@ def test_reason_without_any_image(make_flight: MakeFlight) -> None:
     for packet in packets_at([0.0, 0.05]):
         result = add(initializer, flight, replace(packet, has_image=False), 0.0, gauge)
         assert isinstance(result, NotObservable) and result.reason == "no images so far"
+
+
+@pytest.mark.parametrize("count", [2, 9, 16, 17, 20, 31, 38, 46, 91])
+def test_used_frames_spread_over_the_window(count: int) -> None:
+    """Whatever the number of frames is, the first and the last are used, and the intervals differ by one frame."""
+    ids, xy = np.arange(30), np.zeros((30, 2))
+    seen = Observations(ids, xy, xy, np.ones(30, np.int64))
+    packets = [replace(packet, observations=seen) for packet in packets_at(np.arange(count) / 30.0)]
+    frames = collect_tracks(packets, 16, 6).frame
+    steps = np.diff(frames)
+    assert len(frames) == min(count, 16) and (frames[0], frames[-1]) == (0, count - 1)
+    assert steps.min() >= 1 and steps.max() - steps.min() <= 1
+
+
+def test_landmarks_of_one_frame_are_not_used() -> None:
+    """A window of three frames, as at a low rate: one observation determines neither a landmark nor the motion."""
+    packets = []
+    for packet, ids in zip(packets_at([0.0, 0.25, 0.5]), ([0, 1, 2], [1, 2], [2, 3]), strict=True):
+        xy = np.zeros((len(ids), 2))
+        observations = Observations(np.array(ids), xy, xy, np.ones(len(ids), np.int64))
+        packets.append(replace(packet, observations=observations))
+    assert collect_tracks(packets, 16, 6).ids.tolist() == [1, 2]
