@@ -45,6 +45,9 @@ Array = npt.NDArray[np.float64]
 REPEATED_IMAGES = "the image does not change although the vehicle rotates: not used"
 """Event at the first of several equal images."""
 
+OUTLYING_SAMPLES = "outlying samples of the IMU: left out"
+"""Event at the first frame after such samples, preceded by their number."""
+
 IMPLAUSIBLE_CALIBRATION = (
     "images and calibration do not belong together: check the camera-IMU extrinsics, the lens model, the order of the"
     " cameras, and the time stamps"
@@ -116,6 +119,7 @@ class VisualInertialOdometry:
         self._imu_rate = ImuRatePropagator(rig.imu, c.preintegration, c.gravity_m_s2)
         self._observer = observer
         self._connection = ImageConnection()
+        self._outliers = 0  # of the IMU, up to the newest frame
         self._newest_ns = 0  # time of the newest frame by the clock of the IMU
         self._origin = WorldOrigin(
             c.initialization.gyro_bias_sigma_rad_s, c.initialization.dynamic.accel_bias_sigma_m_s2
@@ -167,6 +171,9 @@ class VisualInertialOdometry:
         estimate = self._pipeline.at_stamp(estimate, frame)
         if self._pipeline.repeats_image and not repeated:
             estimate = replace(estimate, events=(*estimate.events, REPEATED_IMAGES))
+        outliers, self._outliers = self._pipeline.imu_outliers - self._outliers, self._pipeline.imu_outliers
+        if outliers:
+            estimate = replace(estimate, events=(*estimate.events, f"{outliers} {OUTLYING_SAMPLES}"))
         if estimate.state is not None:
             self._imu_rate.correct(estimate)
         return estimate
