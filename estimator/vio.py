@@ -45,6 +45,12 @@ Array = npt.NDArray[np.float64]
 REPEATED_IMAGES = "the image does not change although the vehicle rotates: not used"
 """Event at the first of several equal images."""
 
+EXCESSIVE_NOISE = (
+    "vibration makes the IMU many times noisier than its data sheet: check its mount, its range and filter, and that no"
+    " samples are left out without averaging"
+)
+"""Cause that is stated once, where `ImuNoiseEstimator.is_excessive`."""
+
 OUTLYING_SAMPLES = "outlying samples of the IMU: left out"
 """Event at the first frame after such samples, preceded by their number."""
 
@@ -119,6 +125,7 @@ class VisualInertialOdometry:
         self._imu_rate = ImuRatePropagator(rig.imu, c.preintegration, c.gravity_m_s2)
         self._observer = observer
         self._connection = ImageConnection()
+        self._is_noise_stated = False  # whether `EXCESSIVE_NOISE` has been stated
         self._outliers = 0  # of the IMU, up to the newest frame
         self._newest_ns = 0  # time of the newest frame by the clock of the IMU
         self._origin = WorldOrigin(
@@ -268,6 +275,8 @@ class VisualInertialOdometry:
         self._noise.update(result.imu_variance)
         self._pipeline.discard(result.rejected)
         events = result.events
+        if self._noise.is_excessive and not self._is_noise_stated:
+            events, self._is_noise_stated = (*events, f"probable cause: {EXCESSIVE_NOISE}"), True
         self._report_keyframe(smoother, packet, result, is_connected)
         before, was_plausible = self._with_unverified_calibration(smoother.state), self._online_calibration.is_plausible
         if self._calibrate(tracking, packet, result, stationary):
