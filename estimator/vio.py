@@ -58,6 +58,15 @@ SAME_REPETITION_S = 1.0
 REPEATED_IMAGES = "the image does not change although the vehicle moves: not used"
 """Event at the first of several equal images."""
 
+EXCESSIVE_NOISE = (
+    "vibration makes the IMU many times noisier than its data sheet: check its mount, its range and filter, and that no"
+    " samples are left out without averaging"
+)
+"""Cause that is stated once, where `ImuNoiseEstimator.is_excessive`."""
+
+OUTLYING_SAMPLES = "outlying samples of the IMU: left out"
+"""Event at the first frame after such samples, preceded by their number."""
+
 IMPLAUSIBLE_CALIBRATION = (
     "images and calibration do not belong together: check the camera-IMU extrinsics, the lens model, the order of the"
     " cameras, and the time stamps"
@@ -135,6 +144,8 @@ class VisualInertialOdometry:
         self._connection = ImageConnection()
         self._queue, self._offset_search = FrameQueue(), OffsetSearch()
         self._limits: MotionLimits | None = None  # of the next published state; None before the first, or after a loss
+        self._is_noise_stated = False  # whether `EXCESSIVE_NOISE` has been stated
+        self._outliers = 0  # of the IMU, up to the newest frame
         self._repeated_ns: int | None = None  # time stamp of the last frame of which an image was left out
         self._estimate: Estimate | None = None  # of the last processed frame, at its time by the clock of the IMU
         self._frame: CameraFrame | None = None  # the last processed one
@@ -220,6 +231,9 @@ class VisualInertialOdometry:
             since_ns, self._repeated_ns = self._repeated_ns, frame.t_ns
             if since_ns is None or (frame.t_ns - since_ns) * 1e-9 > SAME_REPETITION_S:
                 estimate = replace(estimate, events=(*estimate.events, REPEATED_IMAGES))
+        outliers, self._outliers = self._pipeline.imu_outliers - self._outliers, self._pipeline.imu_outliers
+        if outliers:
+            estimate = replace(estimate, events=(*estimate.events, f"{outliers} {OUTLYING_SAMPLES}"))
         return estimate
 
     def _at_stamp(self, estimate: Estimate, frame: CameraFrame) -> Estimate:
@@ -355,6 +369,8 @@ class VisualInertialOdometry:
         self._noise.update(result.imu_variance)
         self._pipeline.discard(result.rejected)
         events = result.events
+        if self._noise.is_excessive and not self._is_noise_stated:
+            events, self._is_noise_stated = (*events, f"probable cause: {EXCESSIVE_NOISE}"), True
         self._report_keyframe(smoother, packet, result, is_connected)
         before, was_plausible = self._with_unverified_calibration(smoother.state), self._online_calibration.is_plausible
         if self._calibrate(tracking, packet, result, stationary):

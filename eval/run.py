@@ -24,6 +24,8 @@ _WARNING = re.compile(
     r"lost: |probable cause: |time offset of camera and IMU|the image does not change|camera \d+ contradicts"
 )
 """Beginning of the events that tell of wrong measurements or a wrong calibration."""
+_OUTLIERS = re.compile(r"(\d+) outlying samples of the IMU")
+"""Beginning of the events that tell of IMU samples that are left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +106,12 @@ class EstimatorRun:
     def warnings(self) -> tuple[tuple[int, str], ...]:
         """Time stamps [ns] and texts of the events that tell of wrong measurements or a wrong calibration."""
         return tuple((e.t_ns, text) for e in self.estimates for text in e.events if is_warning(text))
+
+    @property
+    def imu_outliers(self) -> int:
+        """Number of IMU samples that the estimator has left out as outliers."""
+        found = (_OUTLIERS.match(text) for estimate in self.estimates for text in estimate.events)
+        return sum(int(match[1]) for match in found if match)
 
     @property
     def innovations(self) -> "Innovations | None":

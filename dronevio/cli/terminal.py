@@ -159,6 +159,8 @@ def print_run_warnings(run: "EstimatorRun") -> None:
         print_warning(f"{(t_ns - begin_ns) * 1e-9:.2f} s after the first frame: {text}")
     if len(run.warnings) > len(shown):
         print_warning(f"{len(run.warnings) - len(shown)} more events of this kind")
+    if run.imu_outliers:
+        print_warning(f"{run.imu_outliers} IMU samples far from those before and after them: left out as outliers")
 
 
 def print_json(document: Mapping[str, object]) -> None:

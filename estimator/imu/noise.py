@@ -42,6 +42,16 @@ GROSS_RATIO = 3.0
 """Ratio by which this expectation must exceed both the estimate and the initial noise to replace the estimate."""
 FLOOR_STEP = 1.5
 """Ratio by which a spectral floor must exceed all before it for that: the noise has changed."""
+LEFT_OUT_INTERVALS = 1.5
+"""Ratio between the interval of the samples and that of the data sheet beyond which samples are left out, as by
+loggers."""
+LEFT_OUT_RATIO = 4.0
+"""Factor on the spectral floor of such samples: on EuRoC's flights with every second sample, vibration at 90 to 100 Hz
+appears at 0 to 10 Hz, below the bands of the floor, with up to four times its density."""
+EXCESSIVE_RATIO = 20.0
+"""Ratio of the estimated noise to the data sheet beyond which it is excessive. On EuRoC's flights it reaches 15."""
+EXCESSIVE_SHARE = 0.25
+"""Share of such noise that the samples themselves must show; otherwise a wrong calibration may be the reason."""
 MIN_REDUNDANCY = 0.5
 """Smallest sum of the redundancies of intervals, three residuals each, that show a noise density."""
 MAX_NORMALIZED_SQUARE = 9.0
@@ -219,7 +229,7 @@ class ImuNoiseEstimator:
         self._initial = self._params = PreintegrationParams.of(imu, inertial, gravity_m_s2)
         self._data_sheet = imu.gyro_noise_density, imu.accel_noise_density
         self._at_rest, self._floor = (0.0, 0.0), SpectralFloor()
-        self._highest_floor = np.zeros(2)
+        self._highest_floor, self._interval_s = np.zeros(2), 1.0 / imu.rate_hz
 
     @property
     def at_rest(self) -> tuple[float, float]:
@@ -243,8 +253,21 @@ class ImuNoiseEstimator:
     @property
     def measured(self) -> tuple[float, float]:
         """Noise densities that the samples themselves show, whatever the calibration: at rest, or by their spectrum."""
-        gyro, accel = zip(self._at_rest, self._floor.densities, strict=True)
+        gyro, accel = zip(self._at_rest, self._shown, strict=True)
         return max(gyro), max(accel)
+
+    @property
+    def _shown(self) -> tuple[float, float]:
+        """Noise densities by the spectrum. Where samples are left out, vibration is aliased to the slow motions."""
+        are_left_out = self._floor.interval_s > LEFT_OUT_INTERVALS * self._interval_s
+        gyro, accel = self._floor.densities
+        return (LEFT_OUT_RATIO * gyro, LEFT_OUT_RATIO * accel) if are_left_out else (gyro, accel)
+
+    @property
+    def is_excessive(self) -> bool:
+        """Whether images and samples agree that the noise is far above that of the data sheet."""
+        found = zip(self.densities, self._shown, self._data_sheet, strict=True)
+        return any(x > EXCESSIVE_RATIO * sheet > 0.0 and floor > EXCESSIVE_SHARE * x for x, floor, sheet in found)
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Add samples later than those before.
@@ -253,7 +276,7 @@ class ImuNoiseEstimator:
         the estimate is what the spectrum suggests.
         """
         self._floor.add(samples)
-        floor = np.array(self._floor.densities)
+        floor = np.array(self._shown)
         if not np.any(has_risen := floor > FLOOR_STEP * self._highest_floor):
             return
         self._highest_floor = np.where(has_risen, floor, self._highest_floor)

@@ -26,11 +26,16 @@ SCALE_RATIO = 6.0
 reaches 4."""
 RETURN_RATIO = 0.25
 """Largest ratio between the difference of the samples before and after outliers, and the distance of the outliers.
-After several outliers, the next difference must be as small: an impact leaves the vehicle ringing."""
+The sample after, or if this is the next outlier the one after that, must be as near: an impact leaves the vehicle
+ringing."""
+LOOKAHEAD = 3
+"""Number of samples after outliers that decide."""
 RETURN_SCALES = 2.0
 """Such a difference is always small enough if it is below this multiple of the typical difference."""
 BLOCK = 16
 """Number of samples over which the median of the differences is taken."""
+UNJUDGED = 8
+"""Number of samples at the beginning that are accepted, from which the first typical difference is taken."""
 BLOCKS = 8
 """Number of blocks whose largest median is the typical difference. Vibration that begins counts after half a block."""
 LIMIT_TOLERANCE = 1e-3
@@ -52,8 +57,8 @@ def outlying_samples(samples: ImuSamples, imu: ImuModel | None = None) -> npt.ND
 class OutlierFilter:
     """Removes outliers from a stream of samples.
 
-    A sample that is far from the one before is withheld until those after it decide: at most `MAX_RUN` + 1. All others
-    are returned at once. The result does not depend on how the stream is divided.
+    A sample that is far from the one before is withheld until those after it decide: at most `MAX_RUN` + `LOOKAHEAD`.
+    All others are returned at once. The result does not depend on how the stream is divided.
 
     Where a point is removed, the midpoint rule interpolates its neighbours; the interval of a removed mean takes the
     mean of the next one.
@@ -70,8 +75,8 @@ class OutlierFilter:
         self._withheld: ImuSamples | None = None
         self._last: Array | None = None  # (2, 3) the last accepted readings of gyroscope and accelerometer
         self._differences = np.zeros((0, 2))  # between the last accepted readings, as many as a block has
-        self._in_block = 0  # number of these in the block that is not complete
-        self._medians = np.zeros((1, 2))  # of the last blocks
+        self._in_block = BLOCK - UNJUDGED  # number of these in the block that is not complete
+        self._medians = np.full((1, 2), np.inf)  # of the last blocks; infinite before the first
 
     @property
     def rejected(self) -> int:
@@ -89,7 +94,7 @@ class OutlierFilter:
             row += near
             if near:
                 continue
-            run = self._run(values[row : row + MAX_RUN + 2])
+            run = self._run(values[row : row + MAX_RUN + LOOKAHEAD])
             if run is None:
                 break
             is_kept[row : row + run] = False
@@ -119,25 +124,26 @@ class OutlierFilter:
         self._differences = np.concatenate([self._differences, self._differences_of(values)])[-BLOCK:]
         self._last, self._in_block = values[-1], (self._in_block + len(values)) % BLOCK
         if self._in_block == 0:
-            self._medians = np.concatenate([self._medians, np.median(self._differences, axis=0)[None]])[-BLOCKS:]
+            known = self._medians[np.isfinite(self._medians).all(axis=1)]
+            self._medians = np.concatenate([known, np.median(self._differences, axis=0)[None]])[-BLOCKS:]
 
     def _run(self, values: Array) -> int | None:
         """Return the number of outliers at the beginning of readings (N, 2, 3), or None where later ones decide."""
         assert self._last is not None, "the first reading is near itself"
         judged = ~self._is_clipped(values[0])
-        for run in range(1, min(MAX_RUN, len(values) - 2) + 1):
+        for run in range(1, min(MAX_RUN, len(values) - LOOKAHEAD) + 1):
             before, after = self._last, values[run]
             share = (np.arange(1, run + 1) / (run + 1))[:, None, None]
             distance = _length(values[:run] - (before + share * (after - before))).min(axis=0)
             # What follows shows whether the vehicle shakes.
-            following = _length(values[run + 1] - after)[None]
-            local = np.median(np.concatenate([self._differences, following]), axis=0)
+            following = _length(values[run + 1 : run + LOOKAHEAD] - after)
+            local = np.median(np.concatenate([self._differences, following[:1]]), axis=0)
             scale = np.maximum(local, self._medians.max(axis=0))
             allowed = np.maximum(RETURN_RATIO * distance, RETURN_SCALES * scale)
-            is_calm = (_length(after - before) <= allowed) & ((run == 1) | (following[0] <= allowed))
+            is_calm = (_length(after - before) <= allowed) & (following.min(axis=0) <= allowed)
             if np.any(judged & is_calm & (distance > self._threshold(scale))):
                 return run
-        return 0 if len(values) == MAX_RUN + 2 else None
+        return 0 if len(values) == MAX_RUN + LOOKAHEAD else None
 
     def _differences_of(self, values: Array) -> Array:
         """Return the lengths (N, 2) of the differences of readings (N, 2, 3) to the one before."""

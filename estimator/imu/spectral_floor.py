@@ -31,6 +31,12 @@ class SpectralFloor:
         self._values = np.zeros((0, 6))  # of the segment that is not complete
         self._times_ns = np.zeros(0, dtype=np.int64)
         self._powers: tuple[Array, ...] = ()  # (BANDS, 2) of the last segments
+        self._interval_s = 0.0
+
+    @property
+    def interval_s(self) -> float:
+        """Median interval of the samples [s]; zero before the first `SEGMENT` samples."""
+        return self._interval_s
 
     @property
     def densities(self) -> tuple[float, float]:
@@ -45,8 +51,8 @@ class SpectralFloor:
         self._values = np.concatenate([self._values, np.hstack([samples.gyro_rad_s, samples.accel_m_s2])])
         self._times_ns = np.concatenate([self._times_ns, samples.t_ns])
         while len(self._values) >= SEGMENT:
-            interval_s = float(np.median(np.diff(self._times_ns[:SEGMENT]))) * 1e-9
-            self._powers = (*self._powers, _band_powers(self._values[:SEGMENT], interval_s))[-SEGMENTS:]
+            self._interval_s = float(np.median(np.diff(self._times_ns[:SEGMENT]))) * 1e-9
+            self._powers = (*self._powers, _band_powers(self._values[:SEGMENT], self._interval_s))[-SEGMENTS:]
             self._values, self._times_ns = self._values[SEGMENT:], self._times_ns[SEGMENT:]
 
 

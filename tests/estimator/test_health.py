@@ -320,14 +320,15 @@ def test_noise_of_the_imu_in_the_nis_is_bounded() -> None:
     triangulated = landmarks(40, np.random.default_rng(1))
     observations = observe(triangulated, START, ZEROS, np.array([error_of_nis(8.0), 0.0]))
 
-    def nis_of(ratio: float, at_rest: float = 0.0) -> float:
-        monitor = monitor_of(triangulated, noise_at_rest=(at_rest * DENSITIES[0], at_rest * DENSITIES[1]))
-        monitor.set_reference(START, triangulated, None, (ratio * DENSITIES[0], ratio * DENSITIES[1]))
+    def nis_of(ratio: float, shown: float = 0.0) -> float:
+        monitor = monitor_of(triangulated)
+        estimated, by_samples = ((x * DENSITIES[0], x * DENSITIES[1]) for x in (ratio, shown))
+        monitor.set_reference(START, triangulated, None, estimated, by_samples)
         return assess(monitor, observations, state_after(10)).innovation_nis or 0.0
 
     largest = CONFIG.max_noise_ratio
     assert nis_of(0.1) == nis_of(1.0) > nis_of(2.0) > nis_of(largest) == nis_of(20.0)
-    assert nis_of(largest) == nis_of(20.0, at_rest=2.0) > nis_of(20.0, at_rest=8.0) == nis_of(8.0, at_rest=20.0)
+    assert nis_of(largest) == nis_of(20.0, shown=2.0) > nis_of(20.0, shown=8.0) == nis_of(8.0, shown=20.0)
 
 
 def test_a_fifth_of_outliers_is_no_contradiction() -> None:
