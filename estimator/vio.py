@@ -264,7 +264,7 @@ class VisualInertialOdometry:
         smoother = initializer.add(packet, stationary_s, self._calibration, self._gauge, self._noise)
         if isinstance(smoother, NotObservable):
             return self._publisher.not_initialized(packet, smoother)
-        offset = None if stationary_s else self._offset_search.offset_at_start(self._calibration.Ts_imu_cam)
+        offset = None if stationary_s else self._offset_search.offset(self._calibration.Ts_imu_cam, at_once=True)
         if offset is not None:
             estimate = self._publisher.without_state(packet, WRONG_TIME_OFFSET)
             return self._adopted(offset, packet, estimate)
