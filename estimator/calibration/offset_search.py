@@ -1,9 +1,9 @@
 """Search for the time offset of camera and IMU while the estimate is in doubt.
 
 The online calibration (`dronevio.estimator.calibration.online`) finds an offset of some milliseconds, which hardly
-disturbs an estimate. With tens of milliseconds, there is no such estimate: an initialization fails, or images and prediction
-contradict each other soon. The rotation of the last frames is then compared with the gyroscope at all offsets
-(`rotation_offset`), which needs no estimate.
+disturbs an estimate. With tens of milliseconds, there is no such estimate: an initialization fails, or images and
+prediction contradict each other soon. The rotation of the last frames is then compared with the gyroscope at all
+offsets (`rotation_offset`), which needs no estimate.
 """
 
 import numpy as np
@@ -19,11 +19,17 @@ Array = npt.NDArray[np.float64]
 
 MAX_OFFSET_S = 0.25
 """Largest offset that is searched for [s], beyond what drivers and transmission of images cause."""
-WINDOW_S = 2.0
-"""Time over which the rotations are compared [s]. Of images that do not belong to the gyroscope, none out of 2000 such
-windows had a significant offset; of those that do, 9 out of 10."""
+WINDOW_S = 1.4
+"""Time over which the rotations are compared at least [s], less than the window of a start with one camera. Of images
+that do not belong to the gyroscope, the best offset explains half of the rotation or less (`docs/tuning.md`)."""
+SPAN_S = 2.75
+"""Time for which frames are kept [s]."""
+MIN_RANGE_S = 0.03
+"""Smallest range of offsets that is searched [s]."""
 INTERVAL_S = 0.25
 """Time between searches [s]."""
+START_WINDOW_S = 1.4
+"""The same before a start [s]: the shortest window of a start with one camera, less the offsets that are tried."""
 MIN_OFFSET_S = 0.008
 """Smallest offset that is adopted [s]; the online calibration finds smaller ones."""
 
@@ -40,33 +46,37 @@ class OffsetSearch:
 
     def add(self, packet: FramePacket) -> None:
         """Add the next frame."""
-        span_s = WINDOW_S + 2.0 * MAX_OFFSET_S + INTERVAL_S
-        oldest_ns = packet.t_ns - round(span_s * 1e9)
+        oldest_ns = packet.t_ns - round(SPAN_S * 1e9)
         self._packets = (*(p for p in self._packets if p.t_ns >= oldest_ns), packet)
 
-    def offset(self, Ts_imu_cam: Array) -> RotationOffset | None:
+    def offset(self, Ts_imu_cam: Array, *, at_once: bool = False) -> RotationOffset | None:
         """Return a significant offset relative to the one in use, if there is one; at most every `INTERVAL_S`.
+
+        The frames at both ends are those of the offsets that are tried: the more frames there are, the larger offsets.
 
         Args:
             Ts_imu_cam: (C, 4, 4) Poses of the cameras in the IMU frame.
+            at_once: Whether the offset is searched for, however soon after the last time.
         """
-        first_ns, now_ns = self._packets[0].t_ns, self._packets[-1].t_ns
-        if (now_ns - first_ns) * 1e-9 < WINDOW_S + 2.0 * MAX_OFFSET_S:
+        span_s = (self._packets[-1].t_ns - self._packets[0].t_ns) * 1e-9 if self._packets else 0.0
+        range_s = min(MAX_OFFSET_S, 0.5 * (span_s - WINDOW_S))
+        if range_s < MIN_RANGE_S:
             return None
-        if self._searched_ns is not None and (now_ns - self._searched_ns) * 1e-9 < INTERVAL_S:
+        now_ns, last_ns = self._packets[-1].t_ns, self._searched_ns
+        if not at_once and last_ns is not None and (now_ns - last_ns) * 1e-9 < INTERVAL_S:
             return None
         self._searched_ns = now_ns
         imu = _samples(self._packets)
-        found = rotation_offset(self._image_rotations(Ts_imu_cam), imu, MAX_OFFSET_S) if len(imu) > 1 else None
+        found = rotation_offset(self._image_rotations(Ts_imu_cam), imu, range_s) if len(imu) > 1 else None
         if found is None or not found.is_significant or abs(found.offset_s) < MIN_OFFSET_S:
             return None
         return found
 
     def _image_rotations(self, Ts_imu_cam: Array) -> RelativeRotations:
         """Return the rotations between the frames; only those that are new are computed."""
-        known, since_ns = self._rotations, self._rotated_ns
-        new = [p for p in self._packets if since_ns is None or p.t_ns >= since_ns]
-        added = image_rotations([p.t_ns for p in new], [p.observations for p in new], Ts_imu_cam)
+        known, packets = self._rotations, self._packets
+        times_ns, features = [p.t_ns for p in packets], [p.observations for p in packets]
+        added = image_rotations(times_ns, features, Ts_imu_cam, self._rotated_ns)
         kept = known[known.start_ns >= self._packets[0].t_ns]
         self._rotations, self._rotated_ns = kept.joined(added), self._packets[-1].t_ns
         return self._rotations

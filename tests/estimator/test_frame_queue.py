@@ -19,21 +19,21 @@ def test_frames_of_a_later_exposure_wait() -> None:
     """With 120 ms, a frame is due when the third one after it comes; none is left out."""
     queue = FrameQueue()
     processed(queue, 0, 2)
-    queue.shift(0.12, 1 * STEP_NS)
+    queue.shift(0.12)
     assert processed(queue, 2, 8) == [[], [], [], [2], [3], [4]]
 
 
 def test_frames_of_an_earlier_exposure_are_left_out_up_to_the_last_one() -> None:
     queue = FrameQueue()
     processed(queue, 0, 2)
-    queue.shift(-0.12, 1 * STEP_NS)
+    queue.shift(-0.12)
     assert processed(queue, 2, 7) == [[], [], [4], [5], [6]]
 
 
 def test_a_second_shift_counts_from_the_first() -> None:
     """From +100 ms to 0: the frames that waited come at once, without those whose time has passed."""
     queue = FrameQueue()
-    queue.shift(0.1, -STEP_NS)
+    queue.shift(0.1)
     assert processed(queue, 0, 4) == [[], [], [0], [1]]  # frame 1 was exposed at the time of the stamp of frame 3
-    queue.shift(0.0, 1 * STEP_NS)
+    queue.shift(0.0)
     assert processed(queue, 4, 6) == [[4], [5]]
