@@ -221,7 +221,7 @@ class _Part:
     """What a folder has of one segment."""
 
     frames: _Frames
-    """The frames."""
+    """Frames of the segment."""
     imu: ImuSamples
     """The IMU samples."""
     defects: tuple[Defect, ...] = ()
