@@ -1,7 +1,7 @@
 """Recordings as EuRoC folders (ASL format): images, IMU samples, calibration and ground truth.
 
 The body frame is that of the IMU, IMU samples are values at their time stamps unless stated otherwise, cameras are
-pinholes with radial-tangential distortion or equidistant fisheyes. Format: Burri et al., "The EuRoC micro aerial
+with any lens of this package. Format: Burri et al., "The EuRoC micro aerial
 vehicle datasets", IJRR 2016.
 """
 
