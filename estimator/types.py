@@ -126,8 +126,8 @@ class Calibration:
 
     @cached_property
     def focal_px(self) -> Array:
-        """(C,) Focal lengths fx of the cameras [px]."""
-        return np.array([camera.model.fx for camera in self.rig.cameras])
+        """(C,) Focal lengths of the cameras along x, near the axis [px]."""
+        return np.array([camera.model.central_focal_px[0] for camera in self.rig.cameras])
 
     @cached_property
     def readouts_s(self) -> Array:

@@ -147,7 +147,7 @@ def frusta(reconstruction: Reconstruction, depth: float) -> Array:
         camera = reconstruction.cameras[index]
         right, bottom = camera.width - 0.5, camera.height - 0.5
         corners_px = np.array([(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)])
-        xy = np.clip((corners_px - [camera.cx, camera.cy]) / [camera.fx, camera.fy], -_MAX_CORNER, _MAX_CORNER)
+        xy = np.clip((corners_px - [camera.cx, camera.cy]) / camera.central_focal_px, -_MAX_CORNER, _MAX_CORNER)
         vertices = depth * np.vstack([np.zeros(3), np.column_stack([xy, np.ones(4)])])
         segments.append((vertices @ T[:3, :3].T + T[:3, 3])[_FRUSTUM_EDGES])
     return np.concatenate(segments)

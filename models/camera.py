@@ -70,9 +70,19 @@ class CameraModel(Settings):
         )
 
     @property
+    def central_focal_px(self) -> tuple[float, float]:
+        """Focal lengths x, y of the pinhole that equals the lens near the axis: pixels per radian there [px].
+
+        They differ from `fx` and `fy` for the lenses ``fov``, ``ds`` and ``omni``.
+        """
+        scale = LENSES[self.lens].central_scale(self.distortion)
+        return scale * self.fx, scale * self.fy
+
+    @property
     def K(self) -> Array:
-        """(3, 3) Intrinsic matrix, without distortion."""
-        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+        """(3, 3) Intrinsic matrix of the pinhole that equals the lens near the axis."""
+        fx, fy = self.central_focal_px
+        return np.array([[fx, 0.0, self.cx], [0.0, fy, self.cy], [0.0, 0.0, 1.0]])
 
     def project(self, p_cam: Array) -> Array:
         """Return pixels (…, 2) of points (…, 3) in the camera frame [m].

@@ -96,12 +96,15 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.estimator.sfm.pipeline import reconstruct
     from dronevio.estimator.sfm.workspace import Workspace
     from dronevio.models.errors import InputError
+    from dronevio.models.reconstructions.formats import check_cameras
     from dronevio.sfm_inputs import read_earlier, read_poses
 
     target = command.out or Path("runs") / f"sfm-{command.images.resolve().stem}"
     require_free(target, command.output.overwrite)  # before the images are read
     earlier = None if command.add_to is None else read_earlier(command.add_to)
     images = _open(command, () if earlier is None else earlier.reconstruction.image_names)
+    for kind in command.format:  # before the reconstruction, which may take hours
+        check_cameras(images.cameras, kind)
     sigmas = command.pose_sigma_m, math.radians(command.pose_sigma_deg)
     poses = None if command.poses is None else read_poses(command.poses, images, command.poses_of, *sigmas)
     work = target.absolute().with_name(f".{target.name}.work")

@@ -102,9 +102,9 @@ class Undistortion:
         the middle of each side of the image, but not beyond the largest angle; stretched corners are cut.
         """
         low, high = _bounds(model, np.tan(np.radians(config.max_angle_deg)))
-        full = np.array([model.fx, model.fy]) * (high - low)
+        full = np.array(model.central_focal_px) * (high - low)
         scale = min(1.0, config.max_side_px / float(full.max()))
-        f = scale * np.array([model.fx, model.fy])
+        f = scale * np.array(model.central_focal_px)
         width, height = (max(8, int(n)) for n in np.floor(f * (high - low)))
         cx, cy = -f * low - 0.5
         camera = Pinhole(width, height, np.array([[f[0], 0.0, cx], [0.0, f[1], cy], [0.0, 0.0, 1.0]]))

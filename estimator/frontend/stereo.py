@@ -83,7 +83,9 @@ class StereoMatcher:
         """
         self._config = config
         self._second, self._scale = second.model, CommonScale(first.model, second.model)
-        self._pixel = 1.0 / (second.model.fx * float(self._scale.second.scale[0]))  # of the coarser image
+        self._pixel = 1.0 / (
+            second.model.central_focal_px[0] * float(self._scale.second.scale[0])
+        )  # of the coarser image
         T_second_first = inverse_pose(second.T_imu_cam) @ first.T_imu_cam
         self._R, self._t = T_second_first[:3, :3], T_second_first[:3, 3]
         self.is_miscalibrated = False

@@ -226,7 +226,7 @@ class FeatureTracker:
         xy = self._camera.normalize(features.pixels)
         if not len(xy):
             return features
-        threshold = self._config.ransac_threshold_px / self._camera.fx
+        threshold = self._config.ransac_threshold_px / self._camera.central_focal_px[0]
         if rotation_sigma_rad > self._config.max_rotation_sigma_rad:
             inliers = essential_inliers(features.xy, xy, threshold)
             if inliers.mean() > self._config.min_inlier_ratio:

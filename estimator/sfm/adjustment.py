@@ -1,13 +1,14 @@
 """Bundle adjustment by GTSAM's Levenberg-Marquardt optimizer.
 
 Each inlier observation is a factor on the pose of its image, on its point and, if the camera is not calibrated, on the
-focal length and the radial distortion of its camera: two coefficients of a pinhole, four of a fisheye. Known poses are
-held or have priors; without them, a prior on one pose and on the distance to a second fixes the gauge.
+focal length and the radial distortion of its camera: two coefficients of a pinhole, four of a fisheye. Other lenses are
+calibrated, and their observations are those of a pinhole (`dronevio.estimator.sfm.normalized`). Known poses are held or
+have priors; without them, a prior on one pose and on the distance to a second fixes the gauge.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import gtsam
 import numpy as np
@@ -15,13 +16,17 @@ import numpy.typing as npt
 from gtsam.symbol_shorthand import K, P, X
 
 from dronevio.estimator.sfm.model import KnownPoses, Scene, SfmState
+from dronevio.estimator.sfm.normalized import normalized
 from dronevio.models.camera import CameraModel
 from dronevio.models.ranges import Range, Settings
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
+Calibration: TypeAlias = gtsam.Cal3DS2 | gtsam.Cal3Fisheye | gtsam.Cal3_S2
 
+UNIT = gtsam.Cal3_S2()
+"""Pinhole with unit focal length, of observations in normalized coordinates."""
 FIXED_SIGMA = 1e-7
 """Standard deviation of a pose that is held: rotation [rad], position relative to the scale of the scene."""
 RANGE_SIGMA = 1e-5
@@ -78,6 +83,8 @@ def adjust(
         rig: Known relative poses of images.
         priors: Measured poses of at least two images, which then determine the world frame.
     """
+    is_held = [not _is_estimated(camera) for camera in state.cameras]
+    scene = replace(scene, is_calibrated=scene.is_calibrated | is_held)
     index = _projected(scene, state, np.flatnonzero(selected))
     image, track = scene.tracks.image[index], scene.tracks.track[index]
     images, tracks = np.unique(image), np.unique(track)
@@ -88,7 +95,7 @@ def adjust(
         values.insert(P(t), state.points[t])
     calibrations = _insert_cameras(scene, state, np.unique(scene.image_camera[images]), values, graph)
     noises = {sigma: _noise(sigma, config) for sigma in np.unique(scene.sigmas[index]).tolist()}
-    _add_projections(graph, scene, state, index, calibrations, noises)
+    _add_projections(graph, scene, state, index, calibrations, noises, config)
     _add_rig(graph, rig)
     if priors is None:
         _fix_gauge(graph, state, images, scene.is_fixed[images], has_scale=bool(rig))
@@ -115,39 +122,63 @@ def adjust(
 
 
 def _projected(scene: Scene, state: SfmState, index: Indices) -> Indices:
-    """Return the observations without those that GTSAM does not project with an estimated fisheye, at 90° and beyond.
+    """Return the observations without those that GTSAM does not project, at 90° and beyond.
 
-    Points that have fewer than two other observations are left out.
+    These are the ones of an estimated fisheye, and of lenses that are replaced by a pinhole. Points that have fewer
+    than two other observations are left out.
     """
+    is_normalized = np.array([_calibration(camera) is UNIT for camera in state.cameras])
     is_fisheye = np.array([camera.lens == "equidistant" for camera in state.cameras]) & ~scene.is_calibrated
+    is_fisheye |= is_normalized
     if not is_fisheye.any():
         return index
     image, track = scene.tracks.image[index], scene.tracks.track[index]
     relative = state.points[track] - state.Ts_world_cam[image, :3, 3]
     cosine = np.sum(relative * state.Ts_world_cam[image, :3, 2], axis=1) / np.linalg.norm(relative, axis=1)
-    index = index[~is_fisheye[scene.image_camera[image]] | (cosine > MIN_FISHEYE_COSINE)]
+    is_ahead = cosine > MIN_FISHEYE_COSINE
+    if is_normalized.any():  # their measured bearings have to be ahead, too
+        is_ahead &= ~is_normalized[scene.image_camera[image]] | (
+            state.bearings(scene, index)[:, 2] > MIN_FISHEYE_COSINE
+        )
+    index = index[~is_fisheye[scene.image_camera[image]] | is_ahead]
     counts = np.bincount(scene.tracks.track[index], minlength=scene.tracks.count)
     return np.asarray(index[counts[scene.tracks.track[index]] >= 2])
 
 
 def _noise(sigma: float, config: BundleAdjustmentConfig) -> gtsam.noiseModel.Base:
     """Return the noise of an observation of a relative standard deviation."""
-    gaussian = gtsam.noiseModel.Isotropic.Sigma(2, PIXEL_SIGMA * sigma)
+    return _robust(gtsam.noiseModel.Isotropic.Sigma(2, PIXEL_SIGMA * sigma), config)
+
+
+def _robust(gaussian: gtsam.noiseModel.Base, config: BundleAdjustmentConfig) -> gtsam.noiseModel.Base:
+    """Return the noise of an observation with the loss of the configuration."""
     if config.cauchy_px is None:
         return gaussian
     return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(config.cauchy_px), gaussian)
 
 
+def _is_estimated(camera: CameraModel) -> bool:
+    """Return whether the parameters of a camera can be estimated."""
+    return camera.lens == "equidistant" or (camera.lens == "radtan" and len(camera.distortion) == 4)
+
+
+def _calibration(camera: CameraModel) -> Calibration:
+    """Return GTSAM's calibration of a camera, `UNIT` if it has none."""
+    if not _is_estimated(camera):
+        return UNIT
+    model = gtsam.Cal3DS2 if camera.lens == "radtan" else gtsam.Cal3Fisheye
+    return model(camera.fx, camera.fy, 0.0, camera.cx, camera.cy, *camera.distortion)
+
+
 def _insert_cameras(
     scene: Scene, state: SfmState, used: Indices, values: gtsam.Values, graph: gtsam.NonlinearFactorGraph
-) -> dict[int, gtsam.Cal3DS2 | gtsam.Cal3Fisheye | None]:
+) -> dict[int, Calibration | None]:
     """Insert the cameras (K,) that are estimated, with weak priors, and return the others."""
-    calibrations: dict[int, gtsam.Cal3DS2 | gtsam.Cal3Fisheye | None] = {}
+    calibrations: dict[int, Calibration | None] = {}
     for k in used.tolist():
         camera = state.cameras[k]
         if scene.is_calibrated[k]:
-            model = gtsam.Cal3DS2 if camera.lens == "radtan" else gtsam.Cal3Fisheye
-            calibrations[k] = model(camera.fx, camera.fy, 0.0, camera.cx, camera.cy, *camera.distortion)
+            calibrations[k] = _calibration(camera)
             continue
         calibrations[k] = None
         if camera.lens == "equidistant":
@@ -168,12 +199,16 @@ def _add_projections(
     scene: Scene,
     state: SfmState,
     index: Indices,
-    calibrations: dict[int, gtsam.Cal3DS2 | gtsam.Cal3Fisheye | None],
+    calibrations: dict[int, Calibration | None],
     noises: dict[float, gtsam.noiseModel.Base],
+    config: BundleAdjustmentConfig,
 ) -> None:
     """Add a factor for each observation; the noise models (by relative standard deviation) are shared."""
     image, track = scene.tracks.image[index], scene.tracks.track[index]
     camera = scene.image_camera[image]
+    is_normalized = np.isin(camera, [k for k, calibration in calibrations.items() if calibration is UNIT])
+    _add_normalized(graph, scene, state, index[is_normalized], config)
+    index, image, track, camera = (rows[~is_normalized] for rows in (index, image, track, camera))
     noise_of = [noises[sigma] for sigma in scene.sigmas[index].tolist()]
     rows = zip(scene.pixels[index], noise_of, image.tolist(), track.tolist(), camera.tolist(), strict=True)
     for pixel, noise, i, t, k in rows:
@@ -187,10 +222,26 @@ def _add_projections(
             graph.push_back(factor(pixel, noise, X(i), P(t), K(k)))
         elif isinstance(calibration, gtsam.Cal3DS2):
             graph.push_back(gtsam.GenericProjectionFactorCal3DS2(pixel, noise, X(i), P(t), calibration, False, False))
-        else:
+        elif isinstance(calibration, gtsam.Cal3Fisheye):
             graph.push_back(
                 gtsam.GenericProjectionFactorCal3Fisheye(pixel, noise, X(i), P(t), calibration, False, False)
             )
+
+
+def _add_normalized(
+    graph: gtsam.NonlinearFactorGraph, scene: Scene, state: SfmState, index: Indices, config: BundleAdjustmentConfig
+) -> None:
+    """Add a factor in normalized coordinates for each observation of a camera that GTSAM does not have."""
+    camera = scene.image_camera[scene.tracks.image[index]]
+    for k in np.unique(camera).tolist():
+        rows = index[camera == k]
+        xy, derivative = normalized(state.cameras[k], scene.pixels[rows])
+        per_px = derivative * (PIXEL_SIGMA * scene.sigmas[rows])[:, None, None]
+        covariance = per_px @ np.swapaxes(per_px, 1, 2)
+        images, tracks = scene.tracks.image[rows].tolist(), scene.tracks.track[rows].tolist()
+        for measured, cov, i, t in zip(xy, covariance, images, tracks, strict=True):
+            noise = _robust(gtsam.noiseModel.Gaussian.Covariance(cov), config)
+            graph.push_back(gtsam.GenericProjectionFactorCal3_S2(measured, noise, X(i), P(t), UNIT, False, False))
 
 
 def _add_rig(graph: gtsam.NonlinearFactorGraph, rig: Sequence[RelativePose]) -> None:

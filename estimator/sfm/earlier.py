@@ -142,8 +142,10 @@ def _identify(index: Indices, earlier: Reconstruction, features: list[Features])
 
 
 def _is_same(first: CameraModel, second: CameraModel) -> bool:
+    if (first.lens, len(first.distortion)) != (second.lens, len(second.distortion)):
+        return False
     a, b = (np.array([c.fx, c.fy, c.cx, c.cy, *(c.fx * np.array(c.distortion))]) for c in (first, second))
-    return first.lens == second.lens and bool(np.all(np.abs(a - b) <= SAME_CAMERA * first.fx))
+    return bool(np.all(np.abs(a - b) <= SAME_CAMERA * first.fx))
 
 
 def _text(camera: CameraModel) -> str:

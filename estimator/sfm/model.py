@@ -151,8 +151,8 @@ class SfmState:
         return max(float(np.median(relative)) / RAYLEIGH_MEDIAN, MIN_NOISE_PX)
 
     def focal_px(self, scene: Scene, selected: Mask | Indices) -> Array:
-        """Return the focal length (S,) of the camera of the selected observations [px]."""
-        focal = np.array([np.sqrt(camera.fx * camera.fy) for camera in self.cameras])
+        """Return the focal length (S,) of the camera of the selected observations, near its axis [px]."""
+        focal = np.array([np.sqrt(np.prod(camera.central_focal_px)) for camera in self.cameras])
         return np.asarray(focal[scene.image_camera[scene.tracks.image[selected]]])
 
 

@@ -78,7 +78,7 @@ class ImageView:
 
 def view_of(pixels: Array, camera: CameraModel, is_calibrated: bool) -> ImageView:
     """Return the view of an image from the pixels (N, 2) of its features."""
-    return ImageView(pixels, camera.unproject(pixels), float(np.sqrt(camera.fx * camera.fy)), is_calibrated)
+    return ImageView(pixels, camera.unproject(pixels), float(np.sqrt(np.prod(camera.central_focal_px))), is_calibrated)
 
 
 def verify(

@@ -164,7 +164,7 @@ class Localizer:
         old = Correspondences(patches.landmark[rows], patches.points_imu[rows], camera, xy, camera)
         new = old[np.zeros(0, np.int64)]
         Ts_imu_cam = np.stack([each.T_imu_cam for each in rig.cameras])
-        focal_px = np.array([each.model.fx for each in rig.cameras])
+        focal_px = np.array([each.model.central_focal_px[0] for each in rig.cameras])
         views = Views(Ts_imu_cam, focal_px, match.T_odom_imu[:3, :3], query.T_odom_imu[:3, :3])
         fit = refine(T_match_query, old, new, views, c.pose)
         if fit is None:

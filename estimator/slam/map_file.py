@@ -230,10 +230,11 @@ def _number(path: Path, values: Mapping[str, Any], name: str) -> float:
     return float(value)
 
 
-def _numbers(path: Path, values: Any, name: str, count: int) -> list[float]:
-    """Return a list of numbers of a document, or raise InputError."""
-    if not isinstance(values, list) or len(values) != count:
-        raise InputError(path, f"{DOCUMENT}: {name} = {_short(values)}", f"{count} numbers")
+def _numbers(path: Path, values: Any, name: str, count: int | None = None) -> list[float]:
+    """Return a list of numbers of a document, of any length if none is given, or raise InputError."""
+    if not isinstance(values, list) or (count is not None and len(values) != count):
+        expected = "numbers" if count is None else f"{count} numbers"
+        raise InputError(path, f"{DOCUMENT}: {name} = {_short(values)}", expected)
     return [_number(path, {name: value}, name) for value in values]
 
 
@@ -260,7 +261,6 @@ def _camera(path: Path, values: Any) -> RigCamera:
     lens = model.get("lens")
     if not isinstance(lens, str):
         raise InputError(path, f"{DOCUMENT}: lens = {_short(lens)}", "the name of a lens model")
-    k1, k2, k3, k4 = _numbers(path, model.get("distortion"), "distortion", 4)
     return RigCamera(
         CameraModel(
             _whole(path, model, "width"),
@@ -269,7 +269,7 @@ def _camera(path: Path, values: Any) -> RigCamera:
             _number(path, model, "fy"),
             _number(path, model, "cx"),
             _number(path, model, "cy"),
-            distortion=(k1, k2, k3, k4),
+            distortion=tuple(_numbers(path, model.get("distortion"), "distortion")),
             lens=lens,  # type: ignore[arg-type]  # checked by the model
         ),
         np.array([_numbers(path, row, "T_imu_cam", 4) for row in rows]),

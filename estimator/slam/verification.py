@@ -122,7 +122,7 @@ def verify(query: MapKeyframe, match: MapKeyframe, rig: Rig, config: Verificatio
     if not _are_enough(len(old), len(new), c):
         return Rejection("matches")
     Ts_imu_cam = np.stack([camera.T_imu_cam for camera in rig.cameras])
-    focal_px = np.array([camera.model.fx for camera in rig.cameras])
+    focal_px = np.array([camera.model.central_focal_px[0] for camera in rig.cameras])
     views = Views(Ts_imu_cam, focal_px, match.T_odom_imu[:3, :3], query.T_odom_imu[:3, :3])
     depth_m = float(np.median(np.linalg.norm(np.concatenate([old.points, new.points]), axis=1)))
     rng = np.random.default_rng([query.number, match.number])

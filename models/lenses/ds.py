@@ -22,6 +22,11 @@ COUNTS: tuple[int, ...] = (2,)
 """Allowed numbers of coefficients."""
 
 
+def central_scale(coefficients: tuple[float, ...]) -> float:
+    """Return the radius in the image, in focal lengths, per radian from the optical axis, near the axis."""
+    return 1.0 / (1.0 + coefficients[0])
+
+
 def project(p_cam: Array, coefficients: tuple[float, ...]) -> Array:
     """Return image coordinates (…, 2), in focal lengths, of points (…, 3) in the camera frame.
 

@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.lenses.monotone import inverse
 from dronevio.models.ranges import FINITE, Range
 
 Array = npt.NDArray[np.float64]
@@ -23,9 +24,6 @@ COEFFICIENTS: Mapping[str, Range] = dict.fromkeys(("k1", "k2", "k3", "k4"), FINI
 COUNTS: tuple[int, ...] = (4,)
 """Allowed numbers of coefficients."""
 
-_ITERATIONS = 60  # Newton usually needs 4; bisection alone would need 52 for double precision
-_CONVERGED_RAD = 1e-15
-
 
 @lru_cache(maxsize=64)
 def valid_limit(coefficients: Coefficients) -> float:
@@ -35,6 +33,11 @@ def valid_limit(coefficients: Coefficients) -> float:
     stationary = inverse_squares.real[np.abs(inverse_squares.imag) < 1e-9 * np.abs(inverse_squares)]
     nearest = stationary.max(initial=0.0)
     return float(min(1.0 / np.sqrt(nearest), np.pi)) if nearest > 0.0 else float(np.pi)
+
+
+def central_scale(coefficients: Coefficients) -> float:
+    """Return 1: near the axis, the image has the scale of the focal length."""
+    return 1.0
 
 
 def project(p_cam: Array, coefficients: Coefficients) -> Array:
@@ -52,7 +55,12 @@ def project(p_cam: Array, coefficients: Coefficients) -> Array:
 def unproject(uv: Array, coefficients: Coefficients) -> Array:
     """Return the unit rays (…, 3) of image coordinates (…, 2), in focal lengths; NaN where there is none."""
     theta_d = np.linalg.norm(uv, axis=-1, keepdims=True)
-    theta = _undistorted(theta_d, coefficients)
+    theta = inverse(
+        theta_d,
+        lambda t: _distorted(t, coefficients),
+        lambda t: _derivative(t, coefficients),
+        valid_limit(coefficients),
+    )
     xy = uv * (np.sin(theta) / np.where(theta_d > 0.0, theta_d, 1.0))
     return np.concatenate([xy, np.cos(theta)], axis=-1)
 
@@ -69,24 +77,3 @@ def _derivative(theta: Array, coefficients: Coefficients) -> Array:
     k1, k2, k3, k4 = coefficients
     s = theta * theta
     return np.asarray(1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * (7.0 * k3 + s * 9.0 * k4))))
-
-
-def _undistorted(theta_d: Array, coefficients: Coefficients) -> Array:
-    """Return the angles θ (…) from the axis [rad] with given θ_d (…); NaN where there is none.
-
-    The solver is Newton's method, with a bisection step wherever it would leave the bracket: θ_d increases
-    monotonically, but with a derivative near zero close to `valid_limit`.
-    """
-    limit = valid_limit(coefficients)
-    low, high = np.zeros_like(theta_d), np.full_like(theta_d, limit)
-    theta = np.minimum(theta_d, 0.5 * limit)
-    for _ in range(_ITERATIONS):
-        residual = _distorted(theta, coefficients) - theta_d
-        low, high = np.where(residual < 0.0, theta, low), np.where(residual > 0.0, theta, high)
-        derivative = _derivative(theta, coefficients)
-        newton = theta - residual / np.where(derivative > 0.0, derivative, np.nan)
-        improved = np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
-        step, theta = np.abs(improved - theta), improved
-        if not np.any(step > _CONVERGED_RAD * limit):
-            break
-    return np.where(theta_d < _distorted(np.asarray(limit), coefficients), theta, np.nan)

@@ -22,6 +22,11 @@ COUNTS: tuple[int, ...] = (2,)
 """Allowed numbers of coefficients."""
 
 
+def central_scale(coefficients: tuple[float, ...]) -> float:
+    """Return 1: near the axis, the image has the scale of the focal length."""
+    return 1.0
+
+
 def project(p_cam: Array, coefficients: tuple[float, ...]) -> Array:
     """Return image coordinates (…, 2), in focal lengths, of points (…, 3) in the camera frame.
 

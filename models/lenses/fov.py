@@ -21,6 +21,11 @@ COUNTS: tuple[int, ...] = (1,)
 """Allowed numbers of coefficients."""
 
 
+def central_scale(coefficients: tuple[float, ...]) -> float:
+    """Return the radius in the image, in focal lengths, per radian from the optical axis, near the axis."""
+    return 2.0 * float(np.tan(0.5 * coefficients[0])) / coefficients[0]
+
+
 def project(p_cam: Array, coefficients: tuple[float, ...]) -> Array:
     """Return image coordinates (…, 2), in focal lengths, of points (…, 3); NaN where they are not in front."""
     (w,) = coefficients

@@ -23,6 +23,9 @@ class Lens(Protocol):
     COUNTS: tuple[int, ...]
     """Allowed numbers of coefficients; those that are left out are zero."""
 
+    def central_scale(self, coefficients: Coefficients) -> float:
+        """Return the radius in the image, in focal lengths, per radian from the optical axis, near the axis."""
+
     def project(self, p_cam: Array, coefficients: Coefficients) -> Array:
         """Return image coordinates (…, 2) of points (…, 3) in the camera frame; NaN outside the valid domain."""
 

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import polynomial
 
+from dronevio.models.lenses.monotone import inverse
 from dronevio.models.ranges import FINITE, Range
 
 Array = npt.NDArray[np.float64]
@@ -62,6 +63,11 @@ def valid_limit(coefficients: Coefficients) -> float:
     return float(1.0 / nearest) if nearest > 0.0 else np.inf
 
 
+def central_scale(coefficients: Coefficients) -> float:
+    """Return 1: near the axis, the image has the scale of the focal length."""
+    return 1.0
+
+
 def project(p_cam: Array, coefficients: Coefficients) -> Array:
     """Return image coordinates (…, 2), in focal lengths, of points (…, 3) in the camera frame.
 
@@ -76,26 +82,56 @@ def project(p_cam: Array, coefficients: Coefficients) -> Array:
 def unproject(uv: Array, coefficients: Coefficients) -> Array:
     """Return the rays (…, 3), of depth 1, of image coordinates (…, 2), in focal lengths.
 
-    The solver is Newton's method, starting at the image coordinates. The result is NaN where no ray within
-    `valid_limit` has that image.
+    The solver is Newton's method, starting at the image coordinates, and where this fails, without tangential
+    distortion. The result is NaN where no ray within `valid_limit` has that image.
     """
     x, y = u, v = uv[..., 0], uv[..., 1]
     if any(coefficients):
-        limit = valid_limit(coefficients) * _INSIDE
-        for _ in range(_ITERATIONS):
-            terms = _terms(x, y, coefficients)
-            du, dv = (image - target for image, target in zip(_image(x, y, terms, coefficients), (u, v), strict=True))
-            if not (np.any(np.abs(du) > _CONVERGED) or np.any(np.abs(dv) > _CONVERGED)):
-                break
-            xx, off, yy = _derivatives(x, y, terms, coefficients)
-            det = xx * yy - off * off
-            x, y = _within(x - (yy * du - off * dv) / det, y - (xx * dv - off * du) / det, limit)
-        else:
-            image = _image(x, y, _terms(x, y, coefficients), coefficients)
-            du, dv = image[0] - u, image[1] - v
-        unsolved = np.maximum(np.abs(du), np.abs(dv)) > _SOLVED
-        x, y = np.where(unsolved, np.nan, x), np.where(unsolved, np.nan, y)
+        x, y = _solved(u, v, u, v, coefficients)
+        failed = np.isnan(x) & np.isfinite(u) & np.isfinite(v)
+        if np.any(failed):
+            x, y = np.array(x), np.array(y)
+            u, v = u[failed], v[failed]
+            x[failed], y[failed] = _solved(u, v, *_without_tangential(u, v, coefficients), coefficients)
     return np.stack([x, y, np.ones_like(x)], axis=-1)
+
+
+def _solved(u: Array, v: Array, x: Array, y: Array, coefficients: Coefficients) -> tuple[Array, Array]:
+    """Return the points (…) at depth 1 with the image (u, v), by Newton's method from (x, y); NaN where it fails."""
+    limit = valid_limit(coefficients) * _INSIDE
+    for _ in range(_ITERATIONS):
+        terms = _terms(x, y, coefficients)
+        du, dv = (image - target for image, target in zip(_image(x, y, terms, coefficients), (u, v), strict=True))
+        if not (np.any(np.abs(du) > _CONVERGED) or np.any(np.abs(dv) > _CONVERGED)):
+            break
+        xx, off, yy = _derivatives(x, y, terms, coefficients)
+        det = xx * yy - off * off
+        x, y = _within(x - (yy * du - off * dv) / det, y - (xx * dv - off * du) / det, limit)
+    else:
+        image = _image(x, y, _terms(x, y, coefficients), coefficients)
+        du, dv = image[0] - u, image[1] - v
+    unsolved = ~(np.maximum(np.abs(du), np.abs(dv)) <= _SOLVED)
+    return np.where(unsolved, np.nan, x), np.where(unsolved, np.nan, y)
+
+
+def _without_tangential(u: Array, v: Array, coefficients: Coefficients) -> tuple[Array, Array]:
+    """Return the points (N,) at depth 1 with the image (u, v) without tangential distortion, at the limit if beyond."""
+    radial, limit = (*coefficients[:2], 0.0, 0.0, *coefficients[4:]), valid_limit(coefficients) * _INSIDE
+    last = float(np.arctan(limit))  # the angle from the axis, which is finite, replaces the radius
+
+    def image(angle: Array) -> Array:
+        r = np.tan(angle)
+        return np.asarray(r * _terms(r, np.zeros_like(r), radial)[1])
+
+    def slope(angle: Array) -> Array:
+        r = np.tan(angle)
+        zero = np.zeros_like(r)
+        return np.asarray(_derivatives(r, zero, _terms(r, zero, radial), radial)[0] * (1.0 + r * r))
+
+    r_d = np.hypot(u, v)
+    angle = inverse(r_d, image, slope, last)
+    factor = np.tan(np.where(np.isnan(angle), last, angle)) / np.where(r_d > 0.0, r_d, 1.0)
+    return u * factor, v * factor
 
 
 def distort(xy: Array, coefficients: Coefficients) -> Array:

@@ -123,7 +123,7 @@ def write_bundler(path: Path, reconstruction: Reconstruction) -> None:
     """
     path, r = Path(path), reconstruction
     for i, camera in enumerate(r.cameras):
-        _check_camera(i, camera)
+        check_bundler_camera(i, camera)
     for name in r.image_names:
         if len(check_image_name(path, name).split()) != 1:
             raise ConfigError(f"Bundler: image name {name!r}; expected a name without spaces")
@@ -213,7 +213,7 @@ def _camera(path: Path, numbers: Array, size_px: tuple[int, int]) -> CameraModel
         return CameraModel(*size_px, f, f, cx, cy, (k1, k2, 0.0, 0.0))
 
 
-def _check_camera(index: int, camera: CameraModel) -> None:
+def check_bundler_camera(index: int, camera: CameraModel) -> None:
     """Check that a camera is one of Bundler.
 
     Raises:
@@ -224,7 +224,7 @@ def _check_camera(index: int, camera: CameraModel) -> None:
     if camera.lens != "radtan":
         raise ConfigError(f"{where} the lens {camera.lens}; expected radtan, or the format of COLMAP")
     if any(camera.distortion[2:]):
-        raise ConfigError(f"{where} tangential distortion; expected none, or the format of COLMAP")
+        raise ConfigError(f"{where} tangential distortion or k3 to k6; expected none, or the format of COLMAP")
     if not np.isclose(camera.fx, camera.fy, rtol=1e-12, atol=0.0):
         raise ConfigError(f"{where} focal lengths {camera.fx} and {camera.fy} px; expected equal ones")
     centre = _centres(np.array([camera.width, camera.height]))

@@ -1,12 +1,15 @@
 """Reading and writing of reconstructions in any supported format, which is recognized when a file is read."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, get_args
 
+from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.reconstruction import Reconstruction
-from dronevio.models.reconstructions.bundler import HEADER, read_bundler, write_bundler
+from dronevio.models.reconstructions.bundler import HEADER, check_bundler_camera, read_bundler, write_bundler
 from dronevio.models.reconstructions.colmap import is_colmap, read_colmap, write_colmap
+from dronevio.models.reconstructions.colmap_cameras import camera_to_colmap
 from dronevio.models.reconstructions.ply import MAGIC, read_ply, write_ply
 from dronevio.models.recordings.files import check_regular_file
 
@@ -50,6 +53,19 @@ def read_reconstruction(path: Path | str) -> Reconstruction:
     if start.startswith((MAGIC + b"\n", MAGIC + b"\r\n")):
         return read_ply(path)
     raise InputError(path, "a file of another format", _EXPECTED)
+
+
+def check_cameras(cameras: Sequence[CameraModel], format: ReconstructionFormat) -> None:
+    """Check that a format can represent cameras.
+
+    Raises:
+        ConfigError: The format does not have the lens of a camera, or restricts its parameters.
+    """
+    for index, camera in enumerate(cameras):
+        if format in ("colmap-text", "colmap-binary"):
+            camera_to_colmap(camera)
+        elif format == "bundler":
+            check_bundler_camera(index, camera)
 
 
 def write_reconstruction(reconstruction: Reconstruction, path: Path | str, format: ReconstructionFormat) -> None:

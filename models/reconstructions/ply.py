@@ -279,6 +279,6 @@ def _corner_directions(camera: CameraModel) -> Array:
     """Return the directions (4, 3) of the image corners; those without distortion where the lens model is not valid."""
     right, bottom = camera.width - 0.5, camera.height - 0.5
     corners = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
-    pinhole = np.column_stack([(corners - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones(4)])
+    pinhole = np.column_stack([(corners - [camera.cx, camera.cy]) / camera.central_focal_px, np.ones(4)])
     bearing = camera.unproject(corners)
     return np.where(np.isfinite(bearing), bearing, pinhole / np.linalg.norm(pinhole, axis=1, keepdims=True))

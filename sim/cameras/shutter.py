@@ -113,7 +113,7 @@ class Shutter:
         first, last = poses(np.array([middle_ns - round(0.5 * span_ns), middle_ns + round(0.5 * span_ns)]))
         turn_px = turn_in_pixels(self._model, first, last)
         path_m = float(np.linalg.norm(last[:3, 3] - first[:3, 3]))
-        parallax_px = (path_m / nearest_m + swept_rad) * max(self._model.fx, self._model.fy)
+        parallax_px = (path_m / nearest_m + swept_rad) * max(self._model.central_focal_px)
         within_exposure = exposure_ns / span_ns
         blur, skew = (share * (turn_px + parallax_px) for share in (within_exposure, 1.0 - within_exposure))
         rolling = (1.0 - within_exposure) * parallax_px > _STATIC_PARALLAX_PX

@@ -88,10 +88,10 @@ class Views:
         """
         rays = pixel_rays(camera).reshape(-1, 3)
         rays = rays[np.isfinite(rays[:, 0])]
-        cube = cls._side_by_side(_CUBE, rays, supersampling * np.full(2, max(camera.fx, camera.fy)))
+        cube = cls._side_by_side(_CUBE, rays, supersampling * np.full(2, max(camera.central_focal_px)))
         if not np.all(rays[:, 2] > 0.0):
             return cube
-        single = cls._side_by_side(_FRONT[None], rays, supersampling * np.array([camera.fx, camera.fy]))
+        single = cls._side_by_side(_FRONT[None], rays, supersampling * np.array(camera.central_focal_px))
         return cube if cube.pixels < _WORTH_A_CUBE * single.pixels else single
 
     @classmethod

@@ -117,7 +117,7 @@ class RenderedObservation:
 
     The world is loaded at the first call of `observe` and shared with the other environments of the process. The lens
     is that of the rig's camera. Images have no noise and no motion blur, and are exposed as the textures are painted.
-    Depth is the z coordinate in the camera frame for ``radtan`` lenses, and the length of the ray for ``equidistant``.
+    Depth is the z coordinate in the camera frame for ``radtan`` lenses, and the length of the ray for fisheyes.
     """
 
     def __init__(
@@ -208,5 +208,5 @@ def _space(kind: ImageKind, settings: ImageSettings) -> spaces.Box:
 
 def texture_reduction(camera: CameraModel) -> int:
     """Return the factor by which textures can be smaller for a camera, which sees them from one metre or more."""
-    rendered_px_per_m = _SUPERSAMPLING * max(camera.fx, camera.fy) / _SHARP_FROM_M
+    rendered_px_per_m = _SUPERSAMPLING * max(camera.central_focal_px) / _SHARP_FROM_M
     return next((factor for factor in _REDUCTIONS if rendered_px_per_m * factor <= PIXELS_PER_M), 1)

@@ -21,6 +21,8 @@ from dronevio.models.image_sets import image_recording
 from dronevio.models.image_sets.source import ImageSource, read_image_source, write_image_source
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.reconstructions import read_reconstruction, write_reconstruction
+from dronevio.models.recordings.calibration.kalibr import camchain_yaml, imu_yaml
+from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3
 
 Result = Any  # the class of conftest, which cannot be imported
@@ -94,6 +96,28 @@ def test_unrelated_images_are_bad_input(tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["sfm", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
     assert "no two of which determine the motion" in capsys.readouterr().err
     assert {path.suffix for path in tmp_path.iterdir()} == {".png"}  # neither a result nor intermediate ones
+
+
+def test_formats_without_the_lens_are_refused_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unexpected(*arguments: object, **settings: object) -> None:
+        raise InputError(tmp_path, "the reconstruction was started", "no lens without a format")
+
+    monkeypatch.setattr("dronevio.estimator.sfm.pipeline.reconstruct", unexpected)
+    (tmp_path / "images").mkdir()
+    for number in range(2):
+        cv2.imwrite(str(tmp_path / "images" / f"{number}.png"), np.full((480, 640), number, np.uint8))
+    rig = rig_named("euroc")
+    model = CameraModel(640, 480, 200.0, 200.0, 319.5, 239.5, (-0.2, 0.6), "ds")
+    chain = camchain_yaml(replace(rig, cameras=(replace(rig.cameras[0], model=model),))) + imu_yaml(rig)
+    (tmp_path / "camchain.yaml").write_text(chain)
+    command = ["sfm", str(tmp_path / "images"), "--calibration", str(tmp_path / "camchain.yaml")]
+    assert main([*command, "--out", str(tmp_path / "out")]) == 2
+    expected = "camera lens ds; expected one of radtan, equidistant, fov, eucm for COLMAP"
+    assert expected in capsys.readouterr().err
+    assert main([*command, "--out", str(tmp_path / "out"), "--format", "ply"]) == 2
+    assert "the reconstruction was started" in capsys.readouterr().err
 
 
 def test_an_existing_result_is_not_replaced(photographs: Path, reconstructed: Path, tmp_path: Path) -> None:

@@ -150,7 +150,7 @@ def test_files_of_both_programs_are_combined(tmp_path: Path) -> None:
     json_file.write_text(basalt_json(rig))
     chain.write_text(camchain_yaml(rig))
     imu.write_text(imu_yaml(rig))
-    with pytest.raises(InputError, match="cameras, which .*calibration.json has as well"):
+    with pytest.raises(InputError, match=r"cameras, which .*calibration\.json has as well"):
         read_calibration([json_file, chain])
-    with pytest.raises(InputError, match="an IMU, which .*calibration.json has as well"):
+    with pytest.raises(InputError, match=r"an IMU, which .*calibration\.json has as well"):
         read_calibration([json_file, imu])

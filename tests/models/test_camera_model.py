@@ -21,8 +21,22 @@ PINHOLE = replace(EUROC_CAM0, distortion=(0.0, 0.0, 0.0, 0.0))
 BARREL = CameraModel(640, 480, 320.0, 310.0, 322.0, 241.0, (-0.15, 0.02, 1e-3, -2e-3))
 WIDE = CameraModel(640, 480, 226.0, 225.5, 318.0, 242.5, (-0.01, 4e-3, -2e-3, 2e-4), "equidistant")
 FISHEYE = CameraModel(512, 512, 190.978, 190.973, 254.93, 256.897, (3.48e-3, 7.15e-4, -2.05e-3, 2.03e-4), "equidistant")
-CAMERAS = [PINHOLE, EUROC_CAM0, BARREL]
-ALL_CAMERAS = [*CAMERAS, WIDE, FISHEYE]
+RADTAN5 = replace(BARREL, distortion=(-0.25, 0.06, 1e-3, -2e-3, -0.004))
+RATIONAL = replace(BARREL, distortion=(0.4, 0.05, 5e-4, -5e-4, 0.001, 0.5, 0.1, 0.002))
+CAMERAS = [PINHOLE, EUROC_CAM0, BARREL, RADTAN5, RATIONAL]
+FOV = CameraModel(640, 480, 300.0, 298.0, 318.0, 242.5, (0.93,), "fov")
+DS = CameraModel(512, 512, 158.286, 158.274, 254.96, 256.89, (-0.172, 0.593), "ds")  # of TUM-VI
+NARROW_DS = CameraModel(640, 480, 400.0, 401.0, 318.0, 242.5, (0.3, 0.4), "ds")
+EUCM = CameraModel(752, 480, 460.76, 459.41, 365.89, 249.33, (0.59, 1.127), "eucm")  # of EuRoC
+OMNI = CameraModel(640, 480, 700.0, 698.0, 318.0, 242.5, (1.6, -0.2, 0.1, 1e-3, -1e-3), "omni")
+NEAR_OMNI = CameraModel(640, 480, 300.0, 298.0, 318.0, 242.5, (0.8, -0.05, 0.01, 1e-3, -1e-3), "omni")
+NEW_FISHEYES = [FOV, DS, NARROW_DS, EUCM, OMNI, NEAR_OMNI]
+ALL_CAMERAS = [*CAMERAS, WIDE, FISHEYE, *NEW_FISHEYES]
+
+
+def sum_of(parts: tuple[tuple[float, ...], ...]) -> tuple[float, ...]:
+    """Return the parts as one tuple."""
+    return tuple(value for part in parts for value in part)
 
 
 def pixel_grid(model: CameraModel, step: float = 16.0) -> Array:
@@ -84,6 +98,11 @@ FOLDING = [
     CameraModel(640, 480, 320.0, 320.0, 319.5, 239.5, (-0.35, 0.02, 2e-3, -1e-3)),
     CameraModel(640, 480, 320.0, 320.0, 319.5, 239.5, (-0.3, 0.0, 0.0, 0.0)),
     CameraModel(640, 480, 200.0, 200.0, 319.5, 239.5, (0.02, -0.03, 0.004, -0.002), "equidistant"),
+    RADTAN5,
+    replace(RATIONAL, distortion=(*RATIONAL.distortion[:5], 0.6, 0.3, 0.1)),
+    DS,
+    replace(OMNI, distortion=(1.6, 0.0, 0.0, 0.0, 0.0)),
+    replace(EUCM, distortion=(0.8, 0.9)),
 ]
 
 
@@ -118,16 +137,27 @@ def test_valid_limit_is_the_first_stationary_point() -> None:
         (radtan, EUROC_CAM0.distortion, np.inf),
         (radtan, (0.0, 0.0, 0.0, 0.0), np.inf),
         (radtan, (0.0, 0.0, 0.03, 0.04), 1.0 / 0.3),
+        (radtan, (0.0, 0.0, 0.0, 0.0, -0.1), (1.0 / 0.7) ** (1.0 / 6.0)),
+        (radtan, (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0), 1.0),  # r / (1 + r²)
+        (radtan, (0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0), 1.0),  # r / (1 − r²)
+        (radtan, (0.5, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0), np.inf),
+        (radtan, (0.5, 0.0, 0.03, 0.04, 0.0, 0.5, 0.0, 0.0), 1.0 / 0.3),
         (equidistant, (-0.1, 0.0, 0.0, 0.0), np.sqrt(1.0 / 0.3)),
         (equidistant, (0.0, 0.0, 0.0, 0.0), np.pi),
     ):
         assert lens.valid_limit(coefficients) == pytest.approx(limit, rel=1e-12)
 
 
-@given(*[st.floats(-0.5, 0.5)] * 2, *[st.floats(-0.02, 0.02)] * 2)
-@settings(max_examples=40, deadline=None)
-def test_radtan_jacobian_is_positive_within_its_limit(k1: float, k2: float, p1: float, p2: float) -> None:
-    coefficients = (k1, k2, p1, p2)
+radial, tangential = st.floats(-0.5, 0.5), st.floats(-0.02, 0.02)
+four = st.tuples(radial, radial, tangential, tangential)
+radtans = st.one_of(
+    four, st.tuples(four, st.tuples(radial)).map(sum_of), st.tuples(four, st.tuples(*[radial] * 4)).map(sum_of)
+)
+
+
+@given(radtans)
+@settings(max_examples=100, deadline=None)
+def test_radtan_jacobian_is_positive_within_its_limit(coefficients: tuple[float, ...]) -> None:
     radii = min(radtan.valid_limit(coefficients), 50.0) * np.linspace(0.0, 0.999, 50)[:, None]
     azimuths = np.linspace(0.0, 2.0 * np.pi, 36, endpoint=False)
     xy = np.stack([radii * np.cos(azimuths), radii * np.sin(azimuths)], axis=-1)
@@ -141,9 +171,15 @@ def test_radtan_jacobian_is_positive_within_its_limit(k1: float, k2: float, p1: 
         ({"fy": np.nan}, "fy = nan"),
         ({"cx": np.inf}, "cx = inf"),
         ({"width": 0}, "width = 0; expected a whole number, 1 to 32000"),
-        ({"lens": "omni"}, "lens 'omni'"),
+        ({"lens": "magic"}, "lens 'magic'"),
+        ({"lens": "ds"}, r"distortion of 4 numbers; expected 2 numbers \(xi, alpha\) for the lens ds"),
+        ({"lens": "ds", "distortion": (-1.0, 0.5)}, r"camera xi = -1.0; expected a number, more than -1, at most 1"),
+        ({"lens": "eucm", "distortion": (1.1, 1.0)}, r"camera alpha = 1.1; expected a number, 0 to 1"),
+        ({"lens": "eucm", "distortion": (0.5, 0.0)}, r"camera beta = 0.0; expected a number, 0.001 to 1000"),
+        ({"lens": "fov", "distortion": (0.0,)}, r"camera w = 0.0; expected a number, 1e-06 to 3.14"),
+        ({"lens": "omni", "distortion": (-0.1, 0.0, 0.0, 0.0, 0.0)}, r"camera xi = -0.1; expected a number, 0 to 1000"),
         ({"distortion": (0.1, 0.0, np.nan, 0.0)}, "distortion = "),
-        ({"distortion": (0.1, 0.0)}, "4 numbers"),
+        ({"distortion": (0.1, 0.0)}, r"4 numbers \(k1, k2, p1, p2\) or 5 numbers .* or 8 numbers"),
     ],
 )
 def test_invalid_cameras_are_refused(change: dict[str, object], words: str) -> None:
@@ -151,14 +187,13 @@ def test_invalid_cameras_are_refused(change: dict[str, object], words: str) -> N
         replace(EUROC_CAM0, **change)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("model", [EUROC_CAM0, RADTAN5, RATIONAL])
 @given(st.floats(-0.7, 0.7), st.floats(-0.45, 0.45))
 @settings(max_examples=50, deadline=None)
-def test_radtan_jacobian_is_the_derivative(x: float, y: float) -> None:
+def test_radtan_jacobian_is_the_derivative(model: CameraModel, x: float, y: float) -> None:
     xy, h = np.array([x, y]), 1e-6
-    numeric = np.stack(
-        [(EUROC_CAM0.distort(xy + h * e) - EUROC_CAM0.distort(xy - h * e)) / (2 * h) for e in np.eye(2)], axis=1
-    )
-    np.testing.assert_allclose(radtan.jacobian(xy, EUROC_CAM0.distortion), numeric, atol=1e-8)
+    numeric = np.stack([(model.distort(xy + h * e) - model.distort(xy - h * e)) / (2 * h) for e in np.eye(2)], axis=1)
+    np.testing.assert_allclose(radtan.jacobian(xy, model.distortion), numeric, atol=1e-8)
 
 
 def test_camera_centre_and_nan_have_no_pixel() -> None:
@@ -166,6 +201,7 @@ def test_camera_centre_and_nan_have_no_pixel() -> None:
         assert np.isnan(model.project(np.array([[0.0, 0.0, 0.0], [np.nan, 0.0, 1.0], [0.0, 0.0, -1.0]]))).all()
         assert np.isnan(model.unproject(np.array([np.nan, 3.0]))).all()
         np.testing.assert_allclose(model.unproject(np.array([model.cx, model.cy])), [0.0, 0.0, 1.0], atol=1e-15)
+        np.testing.assert_allclose(model.project(np.array([0.0, 0.0, 2.0])), [model.cx, model.cy], atol=1e-12)
     assert set(LENSES) == {model.lens for model in ALL_CAMERAS}
 
 

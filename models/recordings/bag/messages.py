@@ -187,7 +187,7 @@ def camera_info(
         width=model.width,
         distortion_model=name,
         d=np.array(k),
-        k=model.K.ravel(),
+        k=np.array([model.fx, 0.0, model.cx, 0.0, model.fy, model.cy, 0.0, 0.0, 1.0]),
         r=(rectification.R if rectification else np.eye(3)).ravel(),
         p=(rectification.P if rectification else np.hstack([model.K, np.zeros((3, 1))])).ravel(),
         binning_x=0,

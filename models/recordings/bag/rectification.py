@@ -60,7 +60,7 @@ def _of_pair(first: RigCamera, second: RigCamera) -> tuple[Rectification, Rectif
     z = mean[:, 2] - (mean[:, 2] @ x) * x
     z /= np.linalg.norm(z)
     R_rect_imu = np.stack([x, np.cross(z, x), z])
-    focal_px = float(np.mean([(model.fx, model.fy) for model in models]))
+    focal_px = float(np.mean([model.central_focal_px for model in models]))
     Rs = [R_rect_imu @ R for R in rotations]
     # the optical axes remain in the middle of the rectified images, in the mean of both
     centre = np.mean([(m.cx, m.cy) - focal_px * R[:2, 2] / R[2, 2] for m, R in zip(models, Rs, strict=True)], axis=0)

@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.lenses.lens import LensName
 from dronevio.models.reconstruction import Reconstruction
-from dronevio.models.reconstructions import read_colmap, write_colmap
+from dronevio.models.reconstructions import ReconstructionFormat, read_colmap, write_colmap
+from dronevio.models.reconstructions.formats import check_cameras
 
 Make = Callable[..., Reconstruction]
 Same = Callable[[Reconstruction, Reconstruction], None]
@@ -73,6 +75,37 @@ def test_a_model_by_hand(tmp_path: Path) -> None:
     np.testing.assert_allclose(r.reprojection_errors_px(), np.hypot(320 - 100.5, 240 - 200.5))
 
 
+@pytest.mark.parametrize("binary", [False, True], ids=["text", "binary"])
+@pytest.mark.parametrize(
+    ("lens", "distortion"),
+    [
+        ("radtan", (0.1, 0.2, 0.3, 0.4, 0.5)),
+        ("fov", (0.9,)),
+        ("eucm", (0.6, 1.1)),
+        ("equidistant", (0.1, 0.2, 0.3, 0.4)),
+    ],
+)
+def test_lenses_of_colmap_return(
+    tmp_path: Path, scene: Make, lens: LensName, distortion: tuple[float, ...], binary: bool
+) -> None:
+    model = CameraModel(640, 480, 500.0, 510.0, 319.5, 239.5, distortion, lens)
+    write_colmap(tmp_path, scene(model), binary=binary)
+    (back,) = read_colmap(tmp_path).cameras
+    expected = (*distortion, 0.0, 0.0, 0.0) if lens == "radtan" else distortion
+    assert back == replace(model, distortion=expected)
+
+
+@pytest.mark.parametrize(("lens", "distortion"), [("ds", (0.1, 0.5)), ("omni", (1.0, 0.0, 0.0, 0.0, 0.0))])
+@pytest.mark.parametrize("format", ["colmap-binary", "colmap-text", "bundler"])
+def test_lenses_that_a_format_does_not_have_are_refused(
+    lens: LensName, distortion: tuple[float, ...], format: ReconstructionFormat
+) -> None:
+    model = CameraModel(640, 480, 500.0, 500.0, 319.5, 239.5, distortion, lens)
+    with pytest.raises(ConfigError, match=f"lens {lens}; expected"):
+        check_cameras([model], format)
+    check_cameras([model], "ply")  # has no cameras
+
+
 def test_pixels_are_written_half_a_pixel_further(tmp_path: Path, scene: Make) -> None:
     r = scene(CameraModel(640, 480, 500.0, 500.0, 319.5, 239.5))
     write_colmap(tmp_path, replace(r, observation_px=np.round(r.observation_px)), binary=False)
@@ -90,6 +123,9 @@ def test_pixels_are_written_half_a_pixel_further(tmp_path: Path, scene: Make) ->
         ("RADIAL 64 48 50 32 24 .1 .2", (0.1, 0.2, 0, 0), "radtan"),
         ("OPENCV 64 48 50 60 32 24 .1 .2 .3 .4", (0.1, 0.2, 0.3, 0.4), "radtan"),
         ("OPENCV_FISHEYE 64 48 50 60 32 24 .1 .2 .3 .4", (0.1, 0.2, 0.3, 0.4), "equidistant"),
+        ("FULL_OPENCV 64 48 50 60 32 24 .1 .2 .3 .4 .5 .6 .7 .8", (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8), "radtan"),
+        ("FOV 64 48 50 60 32 24 .9", (0.9,), "fov"),
+        ("EUCM 64 48 50 60 32 24 .6 1.1", (0.6, 1.1), "eucm"),
     ],
 )
 def test_camera_models(tmp_path: Path, row: str, distortion: tuple[float, ...], lens: str) -> None:
@@ -102,8 +138,8 @@ def test_camera_models(tmp_path: Path, row: str, distortion: tuple[float, ...], 
     ("files", "message"),
     [
         (
-            {"cameras": "# one\n1 FOV 64 48 50 60 32 24 .1\n"},
-            r"cameras\.txt:2: camera 1: camera model FOV; expected one",
+            {"cameras": "# one\n1 FISHEYE 64 48 50 60 32 24 .1\n"},
+            r"cameras\.txt:2: camera 1: camera model FISHEYE; expected one",
         ),
         ({"cameras": "1 PINHOLE 64 48 50 60 32\n"}, r"cameras\.txt:1: camera 1: 3 parameters of PINHOLE; expected 4"),
         ({"cameras": "1 PINHOLE 64 48 -50 60 32 24\n"}, r"cameras\.txt:1: camera 1: CameraModel\.fx = -50"),
@@ -270,15 +306,21 @@ def test_pycolmap_reads_the_same(tmp_path: Path, scene: Make, binary: bool) -> N
 
 
 @pytest.mark.parametrize("binary", [False, True], ids=["text", "binary"])
-@pytest.mark.parametrize("model", ["SIMPLE_RADIAL", "OPENCV_FISHEYE"])
+@pytest.mark.parametrize("model", ["SIMPLE_RADIAL", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV", "EUCM"])
 def test_models_of_pycolmap_are_read(tmp_path: Path, binary: bool, model: str) -> None:
     """A rig of two cameras with files of rigs and frames, and keypoints without points."""
     pycolmap = pytest.importorskip("pycolmap")
     options = pycolmap.SyntheticDatasetOptions()
     options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig, options.num_points3D = 1, 2, 3, 30
     options.camera_model_id = getattr(pycolmap.CameraModelId, model)
-    if model == "OPENCV_FISHEYE":
-        options.camera_params = [900.0, 910.0, 510.0, 380.0, 0.02, -0.01, 0.003, -0.001]
+    coefficients = {
+        "OPENCV_FISHEYE": (0.02, -0.01, 0.003, -0.001),
+        "FULL_OPENCV": (0.4, 0.05, 5e-4, -5e-4, 0.001, 0.5, 0.1, 0.002),
+        "FOV": (0.9,),
+        "EUCM": (0.6, 1.1),
+    }
+    if model in coefficients:
+        options.camera_params = [900.0, 910.0, 510.0, 380.0, *coefficients[model]]
     pycolmap.set_random_seed(0)
     theirs = pycolmap.synthesize_dataset(options)
     (theirs.write_binary if binary else theirs.write_text)(str(tmp_path))

@@ -1,0 +1,79 @@
+"""Reconstructions with calibrated lenses that GTSAM does not have: their observations are those of a pinhole."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from dronevio.estimator.sfm.adjustment import BundleAdjustmentConfig, adjust
+from dronevio.estimator.sfm.normalized import normalized
+from dronevio.estimator.sfm.pipeline import reconstruct
+from dronevio.eval.metrics.alignment import umeyama
+from dronevio.models.camera import CameraModel
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.estimator.sfm.conftest import MakeImages, MakeScene
+
+DS = CameraModel(640, 640, 190.0, 191.0, 319.5, 318.0, (-0.172, 0.593), "ds")
+OMNI = CameraModel(640, 480, 800.0, 802.0, 319.5, 238.0, (1.6, -0.2, 0.1, 1e-3, -1e-3), "omni")
+EUCM = CameraModel(640, 640, 230.0, 231.0, 319.5, 318.0, (0.63, 1.04), "eucm")
+FOV = CameraModel(640, 480, 300.0, 302.0, 319.5, 238.0, (0.93,), "fov")
+RATIONAL = CameraModel(640, 480, 420.0, 422.0, 319.5, 238.0, (0.4, 0.05, 5e-4, -5e-4, 0.001, 0.5, 0.1, 0.002))
+
+
+@pytest.mark.parametrize("camera", [DS, OMNI, EUCM, FOV, RATIONAL], ids=lambda camera: camera.lens)
+def test_the_noise_of_normalized_coordinates_is_that_of_pixels(camera: CameraModel) -> None:
+    pixels = np.random.default_rng(0).uniform([20.0, 20.0], [620.0, 460.0], (100, 2))
+    xy, derivative = normalized(camera, pixels)
+    seen = np.isfinite(xy).all(axis=1)
+    assert seen.sum() > 90
+    shift = np.array([0.003, -0.002])  # px
+    moved = xy[seen] + derivative[seen] @ shift
+    p = np.column_stack([moved, np.ones(len(moved))])
+    np.testing.assert_allclose(camera.project(p), pixels[seen] + shift, atol=1e-5)
+
+
+@pytest.mark.parametrize("camera", [DS, OMNI, RATIONAL], ids=lambda camera: camera.lens)
+def test_scenes_are_reconstructed(
+    make_scene: "MakeScene", make_images: "MakeImages", tmp_path: "Path", camera: CameraModel
+) -> None:
+    scene = make_scene(camera=camera, images=6, wide=camera.lens == "ds")
+    images, workspace = make_images(scene, tmp_path)
+    [found] = reconstruct(images, None, workspace).reconstructions
+    assert found.image_names == images.names and found.cameras == (camera,)
+    assert np.median(found.reprojection_errors_px()) < 0.8
+    true = scene.Ts_world_cam[:, :3, 3]
+    aligned = umeyama(true, found.positions, with_scale=True)
+    errors = np.linalg.norm(true - (aligned.scale * found.positions @ aligned.R_truth_estimate.T + aligned.t_m), axis=1)
+    assert errors.max() < 0.02
+
+
+def test_both_kinds_of_factors_have_the_same_minimum(
+    make_scene: "MakeScene", make_images: "MakeImages", tmp_path: "Path", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A radial-tangential lens that GTSAM has, and the same one with a superfluous coefficient."""
+    camera = CameraModel(640, 480, 420.0, 422.0, 319.5, 238.0, (-0.2, 0.05, 1e-3, -1e-3))
+    scene = make_scene(camera=camera, images=6)
+    images, workspace = make_images(scene, tmp_path)
+    seen = []
+
+    def recorded(*arguments: object, **settings: object) -> object:
+        seen.append((arguments, settings))
+        return adjust(*arguments, **settings)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("dronevio.estimator.sfm.mapper.adjust", recorded)
+    reconstruct(images, None, workspace)
+    (measured, state, selected, _, *_), settings = seen[-1]
+    longer = replace(camera, distortion=(*camera.distortion, 0.0))
+    exact = BundleAdjustmentConfig(relative_tolerance=1e-12)
+    states = [
+        adjust(measured, replace(state, cameras=(model,)), selected, exact)  # type: ignore[arg-type,type-var]
+        for model in (camera, longer)
+    ]
+    assert settings is not None and states[1].cameras == (longer,)
+    np.testing.assert_allclose(states[1].Ts_world_cam, states[0].Ts_world_cam, atol=2e-4)
+    errors = [state.errors_px(measured, selected) for state in states]  # type: ignore[arg-type]
+    assert np.sqrt(np.mean(errors[1] ** 2)) == pytest.approx(np.sqrt(np.mean(errors[0] ** 2)), rel=1e-4)
