@@ -84,7 +84,7 @@ def _true(truth: Recording | Trajectory | str | Path, poses_ns: Times) -> tuple[
     """
     if isinstance(truth, str | Path):
         path = Path(truth)
-        return read_trajectory(path), read_frame_times(path, poses_ns) if path.is_dir() else None
+        return read_trajectory(path, poses_ns), read_frame_times(path, poses_ns) if path.is_dir() else None
     if isinstance(truth, Trajectory):
         return truth, None
     if truth.ground_truth is None:

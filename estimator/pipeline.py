@@ -73,7 +73,10 @@ class MeasurementPipeline:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
         """
         if self._last_frame_ns is not None and frame.t_ns <= self._last_frame_ns:
-            raise ConfigError(f"frame at {frame.t_ns} ns after one at {self._last_frame_ns} ns; expected a later one")
+            raise ConfigError(
+                f"frame at {frame.t_ns} ns after one at {self._last_frame_ns} ns; expected a later one,"
+                " or a new estimator where the clock steps"
+            )
         self._last_frame_ns = frame.t_ns
         t_ns = self._exposure.imu_time_ns(frame.t_ns, calibration) + round(delay_s * 1e9)
         increments = self._buffer.take_until(t_ns)

@@ -23,9 +23,17 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 """Standard gravity, the unit g of data sheets (CGPM, 1901) [m/s²]."""
 
 
+_SAME_STAMP = "samples that arrive with one stamp are spread over the time before it by recordings.bursts.spread_bursts"
+_EARLIER_STAMP = "late samples are sorted before they are added, and where the clock steps, a new estimator begins"
+
+
 @dataclass(frozen=True, eq=False)
 class ImuSamples:
-    """A batch of IMU samples in time order."""
+    """A batch of IMU samples in time order.
+
+    Drivers of serial ports give one stamp to several samples that they read at once: see
+    `dronevio.models.recordings.bursts.spread_bursts`.
+    """
 
     t_ns: Times
     """(N,) Time stamps, strictly increasing [ns]."""
@@ -62,9 +70,10 @@ class ImuSamples:
             )
         if n > 1 and not np.all(np.diff(self.t_ns) > 0):
             row = int(np.flatnonzero(np.diff(self.t_ns) <= 0)[0])
+            is_equal = self.t_ns[row + 1] == self.t_ns[row]
             raise ConfigError(
                 f"IMU batch whose time stamps do not increase: {self.t_ns[row + 1]} ns after {self.t_ns[row]} ns;"
-                " expected a later one"
+                f" expected a later one; {_SAME_STAMP if is_equal else _EARLIER_STAMP}"
             )
 
     def __len__(self) -> int:

@@ -91,7 +91,8 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.eval.metrics import PairRule, score_trajectory
     from dronevio.eval.metrics.time_offset import estimate_time_offset_s
 
-    truth, estimate = _trajectory(command, command.truth), _trajectory(command, command.estimate)
+    estimate = _trajectory(command, command.estimate)
+    truth = _trajectory(command, command.truth, estimate.t_ns)
     scored = score_trajectory(
         truth,
         estimate,
@@ -203,12 +204,15 @@ def _other_scores(scores: "Scores", over: str) -> list[tuple[str, str, str]]:
     ]
 
 
-def _trajectory(command: EvaluateCommand, path: Path) -> "Trajectory":
-    """Return the trajectory of a file or folder in a world frame whose z axis points up."""
+def _trajectory(command: EvaluateCommand, path: Path, poses_ns: "Times | None" = None) -> "Trajectory":
+    """Return the trajectory of a file or folder in a world frame whose z axis points up.
+
+    Where the clock of a bag steps, it is the part of its ground truth with the most of some poses (N,) [ns].
+    """
     if _is_recording(path):
         from dronevio.models.recordings.open import read_trajectory as read_truth
 
-        return read_truth(path)
+        return read_truth(path, poses_ns)
     import numpy as np
 
     from dronevio.eval.metrics import Alignment

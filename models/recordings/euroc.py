@@ -221,9 +221,9 @@ class _Part:
     """What a folder has of one segment."""
 
     frames: _Frames
-    """Frames of the segment."""
+    """The frames of the segment."""
     imu: ImuSamples
-    """The IMU samples."""
+    """The IMU samples of the segment."""
     defects: tuple[Defect, ...] = ()
     """The defects of both."""
 

@@ -120,8 +120,13 @@ def read_rig(path: Path) -> Rig:
     return read_calibrated_rig(path)
 
 
-def read_trajectory(path: Path) -> Trajectory:
+def read_trajectory(path: Path, poses_ns: Times | None = None) -> Trajectory:
     """Read a trajectory: a TUM or KITTI file, a ground-truth CSV file of EuRoC, or the ground truth of a recording.
+
+    Args:
+        path: The file or folder.
+        poses_ns: Time stamps of poses; where the clock of a bag steps, the ground truth is the part with the most of
+            these, or the first one [ns].
 
     Raises:
         InputError: The path is none of these, damaged, or a recording without ground truth.
@@ -135,7 +140,7 @@ def read_trajectory(path: Path) -> Trajectory:
         return tum.read_trajectory(path)
     from dronevio.models.recordings.bag.recording import read_truth
 
-    return read_truth(path)
+    return read_truth(path, poses_ns)
 
 
 def read_frame_times(path: Path, poses_ns: Times | None = None) -> Times | None:

@@ -24,7 +24,7 @@ from dronevio.models.recordings.bag.file_order import written_messages
 from dronevio.models.recordings.bag.stamps import TopicStamps
 from dronevio.models.recordings.bag.writer import write_bag
 from dronevio.models.recordings.euroc import EurocRecording, read_euroc_segment_times, write_euroc_recording
-from dronevio.models.recordings.open import open_recording, read_frame_times
+from dronevio.models.recordings.open import open_recording, read_frame_times, read_trajectory
 from dronevio.models.recordings.segments import segments_of
 
 Make = Callable[..., Any]
@@ -217,6 +217,8 @@ def test_a_bag_is_split_in_the_order_in_which_it_was_written(
             np.testing.assert_array_equal(segment.frame(k).images[1], original.frame(row).images[1])
         assert segment.ground_truth is not None
         p = segment.ground_truth.p_world_imu
+        read = read_trajectory(tmp_path / "bag", segment.frame_times_ns).p_world_imu
+        np.testing.assert_array_equal(read, p if change_ns < 0 else original.ground_truth.p_world_imu)
         own = (
             original.ground_truth.p_world_imu[: len(p)]
             if shift_ns == 0
@@ -253,7 +255,7 @@ def times(*t: int) -> Times:
     return np.array(t, dtype=np.int64)
 
 
-def test_one_unset_stamp_among_others_is_corrected_by_their_delay() -> None:
+def test_an_unset_stamp_among_others_is_corrected_by_their_delay() -> None:
     second = 10**9
     stamps = TopicStamps.of("/t", times(0, 6 * second, 7 * second), times(8 * second, 9 * second, 10 * second))
     assert stamps.t_ns.tolist() == [5 * second, 6 * second, 7 * second] and stamps.unset.tolist() == [
@@ -275,7 +277,7 @@ def test_stamps_that_are_set_stay(t: list[int]) -> None:
     assert stamps.t_ns.tolist() == t and not stamps.unset.any()
 
 
-def test_ros_1_bags_are_read_in_the_order_in_which_they_were_written(tmp_path: Path) -> None:
+def test_ros_1_bags_are_read_in_the_order_of_writing(tmp_path: Path) -> None:
     store = get_typestore(Stores.ROS1_NOETIC)
     kind = "std_msgs/msg/String"
     logged = [50, 60, 70, 20, 30, 40, 80]

@@ -266,8 +266,13 @@ class ImageTopic:
         )
 
 
-def read_truth(path: Path) -> Trajectory:
+def read_truth(path: Path, poses_ns: Times | None = None) -> Trajectory:
     """Read the ground truth of a bag.
+
+    Args:
+        path: The bag.
+        poses_ns: Time stamps of poses; where the clock of the truth steps, it is the part with the most of these, or
+            the first one [ns].
 
     Raises:
         InputError: The bag is damaged or has no ground truth.
@@ -276,7 +281,12 @@ def read_truth(path: Path) -> Trajectory:
     topic = truth_topic(bag)
     if not topic:
         raise bag.error("no ground truth", f"a topic with true poses, such as {TRUTH_TOPIC}")
-    return read_bag_truth(bag, topic)
+    split = split_at_steps([bag.stamps(topic).t_ns])
+    if not any(step[0].is_fall for step in split.steps):
+        return read_bag_truth(bag, topic)
+    parts = [read_bag_truth(bag, topic, rows) for rows in split.rows(0)]
+    poses_ns = parts[0].t_ns if poses_ns is None else poses_ns
+    return max(parts, key=lambda part: int(np.sum((poses_ns >= part.t_ns[0]) & (poses_ns <= part.t_ns[-1]))))
 
 
 def read_bag_frame_times(path: Path) -> tuple[Times, ...]:

@@ -56,8 +56,8 @@ class TopicStamps:
 
     def selected(self, rows: npt.NDArray[np.int64] | slice) -> "TopicStamps":
         """Return the time stamps of some of the messages."""
-        arrays = (self.header_ns, self.logged_ns, self.t_ns, self.unset, self.twins)
-        return TopicStamps(self.topic, *(array[rows] for array in arrays))
+        header_ns, logged_ns, t_ns = self.header_ns[rows], self.logged_ns[rows], self.t_ns[rows]
+        return TopicStamps(self.topic, header_ns, logged_ns, t_ns, self.unset[rows], self.twins[rows])
 
     @property
     def defects(self) -> tuple[Defect, ...]:
