@@ -80,8 +80,9 @@ class MeasurementPipeline:
         self._last_frame_ns = frame.t_ns
         t_ns = self._exposure.imu_time_ns(frame.t_ns, calibration) + round(delay_s * 1e9)
         increments = self._buffer.take_until(t_ns)
-        ahead = self._buffer.ahead(max(self._exposure.lookahead_s(calibration), -delay_s))
-        self._exposure.begin_frame(increments, ahead, gyro_bias_rad_s)
+        image_delays_s = 1e-9 * np.array(frame.image_delays_ns or (0,))
+        ahead = self._buffer.ahead(max(self._exposure.lookahead_s(calibration, image_delays_s), -delay_s))
+        self._exposure.begin_frame(increments, ahead, gyro_bias_rad_s, image_delays_s)
         rotation_sigma = float(gyro_bias_sigma_rad_s * increments.dt_s.sum()) + increments.rotation_excess_sigma_rad
         R_cur_prev = _camera_rotation(calibration, increments, gyro_bias_rad_s)
         frame = self._repetition.filtered(frame, R_cur_prev, rotation_sigma, moves=moves)
@@ -98,7 +99,12 @@ class MeasurementPipeline:
 
     def replenish(self, packet: FramePacket, calibration: Calibration) -> FramePacket:
         """Return the newest packet with newly detected features and the matches in further cameras."""
-        observations = self._front_end.replenish(calibration.rig)
+
+        def at_exposure_of(camera: int, features: Observations) -> Array:
+            xy = self._exposure.at_exposure_of(camera, calibration.normalized(features), calibration)
+            return calibration.given_xy(xy, features.camera)
+
+        observations = self._front_end.replenish(calibration.rig, at_exposure_of)
         return replace(packet, observations=self._at_frame_time(observations, calibration))
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:

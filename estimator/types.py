@@ -134,6 +134,11 @@ class Calibration:
         """(C,) Readout times of the cameras [s]; zero for global shutters."""
         return np.array([camera.readout_s for camera in self.rig.cameras])
 
+    @cached_property
+    def camera_offsets_s(self) -> Array:
+        """(C,) Time offset of each camera beside that of the rig [s]."""
+        return np.array([camera.time_offset_s for camera in self.rig.cameras])
+
     def corrected_xy(self, xy: Array, camera: Integers) -> Array:
         """Return normalized coordinates (N, 2) by the corrected intrinsics, from those by the given intrinsics."""
         if self.focal_correction is None or self.principal_correction is None:

@@ -1,6 +1,6 @@
 """Protocols of recordings, estimators, plants and controllers."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -95,18 +95,20 @@ class Controller(Protocol):
 def measurements(recording: Recording) -> Iterator[ImuSamples | CameraFrame]:
     """Yield the measurements of a recording in the order in which a live system receives them.
 
-    Each frame follows the IMU samples up to the exposure of its last row, on the IMU clock, and the first sample at or
-    after that time, so that the motion up to it can be interpolated. The delay is at most one IMU interval (5 ms at
-    200 Hz). Where that sample is missing, a frame waits for `MAX_WAIT_INTERVALS` intervals in time stamps and then
-    follows the samples before it alone, as on a vehicle, which cannot wait for the end of a gap.
+    Each frame follows the IMU samples up to the exposure of the last row of its last image, on the IMU clock, and the
+    first sample at or after that time, so that the motion up to it can be interpolated. The delay is at most one IMU
+    interval (5 ms at 200 Hz). Where that sample is missing, a frame waits for `MAX_WAIT_INTERVALS` intervals in time
+    stamps and then follows the samples before it alone, as on a vehicle, which cannot wait for the end of a gap.
     """
     imu, start = recording.imu, 0
-    for index, t_ns in enumerate((recording.frame_times_ns + exposure_delay_ns(recording.rig)).tolist()):
-        end = _received_count(imu.t_ns, t_ns, recording.rig.imu.rate_hz)
+    for index in range(len(recording.frame_times_ns)):
+        frame = recording.frame(index)
+        end_ns = frame.t_ns + exposure_delay_ns(recording.rig, frame.image_delays_ns)
+        end = _received_count(imu.t_ns, end_ns, recording.rig.imu.rate_hz)
         if end > start:
             yield imu[start:end]
             start = end
-        yield recording.frame(index)
+        yield frame
     if start < len(imu):
         yield imu[start:]
 
@@ -120,7 +122,19 @@ def _received_count(imu_t_ns: Times, t_ns: int, rate_hz: float) -> int:
     return count + arrives
 
 
-def exposure_delay_ns(rig: Rig) -> int:
-    """Return the time from the stamp of a frame to the end of its exposure on the clock of the IMU, 0 or more [ns]."""
-    readout_s = max((camera.readout_s for camera in rig.cameras), default=0.0)
-    return round(max(rig.time_offset_s + 0.5 * readout_s, 0.0) * 1e9)
+def exposure_delay_ns(rig: Rig, image_delays_ns: Sequence[int] = ()) -> int:
+    """Return the time from the stamp of a frame to the end of its exposure on the clock of the IMU, 0 or more [ns].
+
+    Args:
+        rig: The rig.
+        image_delays_ns: Delays of the images of the frame; see `CameraFrame`.
+    """
+    delays_ns = image_delays_ns or [0] * len(rig.cameras)
+    last_s = max(
+        (
+            1e-9 * delay_ns + camera.time_offset_s + 0.5 * camera.readout_s
+            for delay_ns, camera in zip(delays_ns, rig.cameras, strict=True)
+        ),
+        default=0.0,
+    )
+    return round(max(rig.time_offset_s + last_s, 0.0) * 1e9)

@@ -29,6 +29,9 @@ class RigCamera(Settings):
     readout_s: Annotated[float, Range(0.0, 1.0)] = 0.0
     """Time from the middle of the exposure of the first row to that of the last row, 0 for a global shutter [s]. The
     time stamp of a frame is the middle of the exposure of its middle row."""
+    time_offset_s: Annotated[float, Range(-1.0, 1.0)] = 0.0
+    """How much later this camera is exposed than the time stamp of its image and `Rig.time_offset_s` state [s]; for
+    cameras whose time offsets differ."""
 
     def __post_init__(self) -> None:
         """Check pose, rate and readout time.
@@ -53,7 +56,7 @@ class Rig(Settings):
     T_vehicle_imu: Array = field(default_factory=lambda: np.eye(4))
     """(4, 4) Pose of the IMU in the vehicle frame; x forward, y left, z up, origin at the centre of mass."""
     time_offset_s: Annotated[float, Range(-1e6, 1e6)] = 0.0
-    """Time offset of the camera clock: t_imu = t_cam + offset [s]."""
+    """Time offset of the cameras' clock: t_imu = t_cam + offset [s], to which that of each camera is added."""
 
     def __post_init__(self) -> None:
         """Check pose, time offset and frame rates.

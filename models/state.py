@@ -33,12 +33,16 @@ class CameraFrame:
     """(H, W) Depth along the optical axis of the main camera; only in simulation, and not given to estimators [m]."""
     defects: tuple[Defect, ...] = ()
     """Reasons of the images that cannot be read."""
+    image_delays_ns: tuple[int, ...] = ()
+    """How much later than `t_ns` each image was exposed, by the time stamps of the cameras [ns]; empty if all images
+    have the time stamp of the frame."""
 
     def __post_init__(self) -> None:
         """Check the types of time stamp and images.
 
         Raises:
-            ConfigError: The time stamp is not a whole number, or the images are not a tuple or list.
+            ConfigError: The time stamp is not a whole number, the images are not a tuple or list, or their delays are
+                not as many.
         """
         t_ns: object = self.t_ns
         images: object = self.images
@@ -47,6 +51,11 @@ class CameraFrame:
         if not isinstance(images, (tuple, list)):
             found = type(images).__name__
             raise ConfigError(f"frame at {self.t_ns} ns with images of type {found}; expected a tuple of arrays")
+        if len(self.image_delays_ns) not in {0, len(images)}:
+            raise ConfigError(
+                f"frame at {self.t_ns} ns with {len(images)} images and {len(self.image_delays_ns)} delays;"
+                " expected as many, or none"
+            )
 
 
 @dataclass(frozen=True, eq=False)

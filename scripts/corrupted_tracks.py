@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.frontend.protocol import FrontEnd
+from dronevio.estimator.frontend.protocol import AtExposure, FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.types import Observations
 from dronevio.estimator.vio import VisualInertialOdometry
@@ -58,9 +58,9 @@ class OutlierFrontEnd:
         self._frames += 1
         return self._corrupted(self._inner.track(frame, *motion, **options))
 
-    def replenish(self, rig: Rig | None = None) -> Observations:
+    def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:
         """Detect new features with a calibration, and add the same errors as in `track`."""
-        return self._corrupted(self._inner.replenish(rig))
+        return self._corrupted(self._inner.replenish(rig, at_exposure_of))
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
         """Stop tracking features with the given identities (N,)."""

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.baselines.eqvio import EquivariantFilter, FilterSettings
+from dronevio.estimator.frontend.protocol import AtExposure
 from dronevio.estimator.frontend.ransac import epipolar_inliers
 from dronevio.estimator.frontend.tracker import TrackerConfig
 from dronevio.estimator.imu.buffer import Increments
@@ -135,7 +136,7 @@ class ReplayFrontEnd:
         self._last = Observations(ids[kept], pixels[kept], xy[kept], ages[kept])
         return self._last
 
-    def replenish(self, rig: Rig | None = None) -> Observations:
+    def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:
         """Return the features of the last frame, which already include the new ones of the recording."""
         return self._last
 

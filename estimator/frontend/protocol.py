@@ -1,5 +1,6 @@
 """The interface of a visual front end: from images to observations of features."""
 
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -14,6 +15,10 @@ from dronevio.models.state import NO_IMAGE, CameraFrame
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]
+
+
+AtExposure = Callable[[int, Observations], Array]
+"""Function that returns the coordinates (N, 2) of features when another camera, given by its index, is exposed."""
 
 
 class FrontEnd(Protocol):
@@ -36,11 +41,13 @@ class FrontEnd(Protocol):
             The tracked features.
         """
 
-    def replenish(self, rig: Rig | None = None) -> Observations:
+    def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:
         """Detect new features in the last frame, and match features between cameras.
 
         Args:
             rig: The calibration in use; by default the one that the front end was made for.
+            at_exposure_of: Moves features to the exposure of another camera; by default all cameras are exposed at one
+                time.
 
         Returns:
             All features of the last frame, with their matches.

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.frontend.defective_pixels import DefectivePixels
-from dronevio.estimator.frontend.protocol import Image, image_of
+from dronevio.estimator.frontend.protocol import AtExposure, Image, image_of
 from dronevio.estimator.frontend.stereo import StereoConfig, StereoMatcher, shared_view
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
 from dronevio.estimator.types import NO_MATCHES, Integers, Matches, Observations
@@ -125,11 +125,13 @@ class RigTracker:
             ]
         )
 
-    def replenish(self, rig: Rig | None = None) -> Observations:
+    def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:
         """Detect new features in the last frame, and match all features in the cameras that share the view.
 
         Args:
             rig: The calibration in use; by default the last one.
+            at_exposure_of: Moves features to the exposure of another camera; by default all cameras are exposed at one
+                time.
         """
         extrinsics = self._use(rig)
         observations = [tracker.replenish() for tracker in self._trackers]
@@ -138,7 +140,7 @@ class RigTracker:
         for image, defects in zip(self._images, self._defects, strict=True):
             if image is not None:
                 defects.examine(image)
-        found = [self._match(k, extrinsics.matchers[k], observations) for k in range(len(self._pairs))]
+        found = [self._match(k, extrinsics.matchers[k], observations, at_exposure_of) for k in range(len(self._pairs))]
         miscalibrated = [matcher.is_miscalibrated for matcher in extrinsics.matchers]
         return replace(
             _merged(observations),
@@ -166,14 +168,21 @@ class RigTracker:
             tuple(StereoMatcher(cameras[pair.first], cameras[pair.second], self._stereo) for pair in self._pairs),
         )
 
-    def _match(self, index: int, matcher: StereoMatcher, observations: Sequence[Observations]) -> Matches:
+    def _match(
+        self,
+        index: int,
+        matcher: StereoMatcher,
+        observations: Sequence[Observations],
+        at_exposure_of: AtExposure | None,
+    ) -> Matches:
         """Match the features of a pair's first camera in its second, and keep their inverse depths."""
         pair, depths = self._pairs[index], self._depths[index]
         tracked = observations[pair.tracker]
         first, second = self._images[pair.first], self._images[pair.second]
         if first is None or second is None:
             return NO_MATCHES
-        found = matcher.match(first, second, tracked.pixels, tracked.xy, depths.of(tracked.ids))
+        xy = tracked.xy if at_exposure_of is None else at_exposure_of(pair.second, tracked)
+        found = matcher.match(first, second, tracked.pixels, xy, depths.of(tracked.ids))
         ids = tracked.ids[found.rows]
         self._depths[index] = _InverseDepths(ids, found.inverse_depth)
         return Matches(ids, np.full(len(ids), pair.second), found.xy)

@@ -1,10 +1,11 @@
 """Compensation of exposure times: moves observations from the instant of their exposure to the time of their frame.
 
-A rolling shutter exposes each row at a time of its own, and the clocks of camera and IMU may be offset. An observation
-with a delay τ is moved back along the path of the feature in the image (Qin and Shen, "Online temporal calibration for
-monocular visual-inertial systems", IROS 2018): by the rotation of the camera within τ, which the gyroscope measures,
-and by the flow due to the camera's translation, from the feature's last two observations. The error is of second order
-in τ and due to the translation alone: ½ a/z τ (τ + Δt) for an acceleration a, a depth z and a time Δt between frames.
+A rolling shutter exposes each row at a time of its own, the clocks of camera and IMU may be offset, and the cameras of
+a rig may be exposed one after another. An observation with a delay τ is moved back along the path of the feature in the
+image (Qin and Shen, "Online temporal calibration for monocular visual-inertial systems", IROS 2018): by the rotation of
+the camera within τ, which the gyroscope measures, and by the flow due to the camera's translation, from the feature's
+last two observations. The error is of second order in τ and due to the translation alone: ½ a/z τ (τ + Δt) for an
+acceleration a, a depth z and a time Δt between frames.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -24,6 +25,7 @@ EXTRAPOLATION_S = 0.1  # beyond the measured motion, the angular velocity is hel
 ACCEL_SAMPLES = 4  # increments on each side of a frame whose mean is its specific force, to average out vibration
 ANGULAR_VELOCITY_STEP_S = 0.005  # half the step of the numeric derivative at the frame, one interval of the IMU [s]
 MIN_FLOW_INTERVAL_S = 1e-3  # shortest time between two observations that a flow is computed from [s]
+NO_DELAYS_S = np.zeros(1)  # of images that all have the time stamp of their frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +74,9 @@ class _Exposed:
 class ExposureCompensation:
     """Moves the observations of each frame to the time of the frame by the IMU's clock.
 
-    All estimates are on the IMU's clock. Internally the time of a frame is the exposure of its middle row by the rig's
-    given time offset. The published estimate is the state at which the IMU's clock shows the frame's time stamp.
+    All estimates are on the IMU's clock. Internally the time of a frame is the exposure of its middle row by its stamp
+    and the rig's given time offset. The published estimate is the state at which the IMU's clock shows the frame's time
+    stamp.
     """
 
     def __init__(self, gravity_m_s2: float = GRAVITY_M_S2) -> None:
@@ -84,6 +87,7 @@ class ExposureCompensation:
         self._local_rotation: LocalRotation | None = None  # computed when it is used, which is not in every frame
         self._accel_m_s2 = np.zeros(3)
         self._frame_interval_s = 0.0
+        self._image_delays_s = NO_DELAYS_S
         self._now = self._last = _Exposed(np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3)))
 
     @staticmethod
@@ -92,19 +96,24 @@ class ExposureCompensation:
         return stamp_ns + round(calibration.rig.time_offset_s * 1e9)
 
     @staticmethod
-    def lookahead_s(calibration: Calibration) -> float:
-        """Return how much IMU data after the time of a frame is of use [s]."""
-        last_row_s = 0.5 * calibration.readouts_s.max() + calibration.time_offset_correction_s
+    def lookahead_s(calibration: Calibration, image_delays_s: Array = NO_DELAYS_S) -> float:
+        """Return how much IMU data after the time of a frame is of use, by the delays of its images [s]."""
+        middle_s = image_delays_s + calibration.camera_offsets_s
+        last_row_s = float((middle_s + 0.5 * calibration.readouts_s).max()) + calibration.time_offset_correction_s
         return float(max(last_row_s, -calibration.rig.time_offset_s, 0.0))
 
-    def begin_frame(self, before: Increments, after: Increments, gyro_bias_rad_s: Array) -> None:
+    def begin_frame(
+        self, before: Increments, after: Increments, gyro_bias_rad_s: Array, image_delays_s: Array = NO_DELAYS_S
+    ) -> None:
         """Begin a frame.
 
         Args:
             before: The IMU increments since the previous frame.
             after: The increments after the frame, `lookahead_s` long or as far as they are available.
             gyro_bias_rad_s: (3,) Gyroscope bias [rad/s].
+            image_delays_s: (C,) How much later than the frame the image of each camera is stamped [s]; none by default.
         """
+        self._image_delays_s = image_delays_s
         self._last, self._frame_interval_s = self._now, float(before.dt_s.sum())
         self._increments, self._gyro_bias_rad_s, self._local_rotation = (before, after), gyro_bias_rad_s, None
         near = np.vstack([before.accel_m_s2[-ACCEL_SAMPLES:], after.accel_m_s2[:ACCEL_SAMPLES]])
@@ -126,21 +135,20 @@ class ExposureCompensation:
     def at_frame_time(self, observations: Observations, calibration: Calibration) -> Observations:
         """Return the observations of a frame as they are at the time of the frame.
 
-        A feature that is observed for the first time has no flow, and is left out if its delay is not zero: a flow that
-        is interpolated from neighbouring features causes scale errors of 1 %.
+        A feature that is observed for the first time has no flow, and is left out if its delay is not zero, as are its
+        matches: a flow that is interpolated from neighbouring features causes scale errors of 1 %.
 
         The method may be called again for the same frame, with new features or with matches in further cameras.
         """
-        if not calibration.readouts_s.any() and calibration.time_offset_correction_s == 0.0:
+        is_delayed = calibration.readouts_s.any() or self._camera_delays_s(calibration).any()
+        if not is_delayed and calibration.time_offset_correction_s == 0.0:
             rays = np.column_stack([observations.xy, np.ones(len(observations))])
             self._now = _Exposed(observations.ids, np.zeros(len(observations)), rays)
             return observations
-        delay_s = _delays_s(calibration, observations.camera, observations.pixels[:, 1])
-        rays = self._rotated(calibration, observations.camera, observations.xy, delay_s)
-        flow = self._flows(calibration, observations, delay_s, rays)
+        delay_s, rays, flow = self._moving(calibration, observations)
         self._now = _Exposed(observations.ids, delay_s, rays)
-        kept = np.isfinite(flow[:, 0])
-        xy = rays[:, :2] - delay_s[:, None] * flow
+        kept = np.isfinite(flow[:, 0]) | (delay_s == 0.0)
+        xy = rays[:, :2] - _displacement(delay_s, flow)
         names = {f.name for f in fields(observations)} - {"xy", "matches", "miscalibrated"}
         others = {name: getattr(observations, name)[kept] for name in names}
         matches, miscalibrated = (
@@ -148,6 +156,25 @@ class ExposureCompensation:
             for matches in (observations.matches, observations.miscalibrated)
         )
         return Observations(**others, xy=xy[kept], matches=matches, miscalibrated=miscalibrated)
+
+    def at_exposure_of(self, camera: int, observations: Observations, calibration: Calibration) -> Array:
+        """Return the coordinates (N, 2) that features have when another camera of the rig is exposed.
+
+        They are those of the middle rows: cameras with rolling shutters expose equal rows one after another. A feature
+        that is observed for the first time is moved by the rotation alone.
+
+        Args:
+            camera: Index of the other camera.
+            observations: The features of the frame, with N rows.
+            calibration: The calibration in use.
+        """
+        delays_s = self._camera_delays_s(calibration)
+        later_s = delays_s[camera] - delays_s[observations.camera]
+        if not later_s.any():
+            return observations.xy
+        delay_s, rays, flow = self._moving(calibration, observations)
+        xy = rays[:, :2] + later_s[:, None] * np.nan_to_num(flow)
+        return self._rotated(calibration, observations.camera, xy, delay_s + later_s, inverse=True)[:, :2]
 
     def at_stamp(self, estimate: Estimate, stamp_ns: int) -> Estimate:
         """Return the estimate of a frame at the frame's time stamp, propagated from the time of the frame.
@@ -172,9 +199,31 @@ class ExposureCompensation:
         )
         return replace(estimate, t_ns=stamp_ns, state=state)
 
-    def _rotated(self, calibration: Calibration, camera: Integers, xy: Array, delay_s: Array) -> Array:
-        """Return rays (N, 3) at depth 1 in the camera frames at the time of the frame, corrected for rotation."""
-        R_imu_cam = calibration.Ts_imu_cam[camera, :3, :3]
+    def _camera_delays_s(self, calibration: Calibration) -> Array:
+        """Return how much later than the frame each camera (C,) is exposed in its middle row, if the clock is right."""
+        return self._image_delays_s + calibration.camera_offsets_s
+
+    def _delays_s(self, calibration: Calibration, camera: Integers, row_px: Array) -> Array:
+        """Return the exposure times (N,) of image rows (N,) relative to the time of the frame [s]."""
+        last_row = np.array([c.model.height - 1 for c in calibration.rig.cameras])[camera]
+        of_row = (row_px / last_row - 0.5) * calibration.readouts_s[camera]
+        of_camera = self._camera_delays_s(calibration)[camera]
+        return np.asarray(of_row + of_camera + calibration.time_offset_correction_s)
+
+    def _moving(self, calibration: Calibration, observations: Observations) -> tuple[Array, Array, Array]:
+        """Return the delays (N,), the rays (N, 3) corrected for rotation, and the flows (N, 2) of observations."""
+        delay_s = self._delays_s(calibration, observations.camera, observations.pixels[:, 1])
+        rays = self._rotated(calibration, observations.camera, observations.xy, delay_s)
+        return delay_s, rays, self._flows(calibration, observations, delay_s, rays)
+
+    def _rotated(
+        self, calibration: Calibration, camera: Integers, xy: Array, delay_s: Array, inverse: bool = False
+    ) -> Array:
+        """Return rays (N, 3) at depth 1 in the camera frames at the time of the frame, corrected for rotation.
+
+        The inverse returns the rays at the exposures from those at the time of the frame.
+        """
+        R_imu_cam = calibration.Ts_imu_cam[camera, :3, :3] * (-1.0 if inverse else 1.0)
         rotation_cam = np.einsum("nij,ni->nj", R_imu_cam, self._rotation.at(delay_s))
         rays = np.column_stack([xy, np.ones(len(xy))])
         rays = np.einsum("nij,nj->ni", exp_so3(rotation_cam), rays)
@@ -206,18 +255,17 @@ class ExposureCompensation:
         for index, camera in enumerate(calibration.rig.cameras):
             mine = matches.camera == index
             row_px[mine] = camera.model.project(xy1[mine])[:, 1]
-        delay_s = _delays_s(calibration, matches.camera, row_px)
+        delay_s = self._delays_s(calibration, matches.camera, row_px)
         here = self._rotated(calibration, matches.camera, matches.xy, delay_s)
         R_imu_cam = calibration.Ts_imu_cam[:, :3, :3]
         R_there = np.swapaxes(R_imu_cam[matches.camera], 1, 2) @ R_imu_cam[observations.camera[row]]
         drift = np.einsum("nij,nj->ni", R_there[..., :2], flow[row])
         depth = np.einsum("nj,nj->n", R_there[:, 2], rays[row])
-        xy = here[:, :2] - delay_s[:, None] * (drift[:, :2] - here[:, :2] * drift[:, 2:]) / depth[:, None]
+        xy = here[:, :2] - _displacement(delay_s, (drift[:, :2] - here[:, :2] * drift[:, 2:]) / depth[:, None])
         kept = np.isfinite(xy[:, 0])
         return replace(matches, ids=matches.ids[kept], camera=matches.camera[kept], xy=xy[kept])
 
 
-def _delays_s(calibration: Calibration, camera: Integers, row_px: Array) -> Array:
-    """Return the exposure times (N,) of image rows (N,) relative to the time of the frame [s]."""
-    last_row = np.array([c.model.height - 1 for c in calibration.rig.cameras])[camera]
-    return np.asarray((row_px / last_row - 0.5) * calibration.readouts_s[camera] + calibration.time_offset_correction_s)
+def _displacement(delay_s: Array, flow: Array) -> Array:
+    """Return the displacements (N, 2) by flows (N, 2) [1/s] within delays (N,) [s]; zero without a delay."""
+    return np.where(delay_s[:, None] == 0.0, 0.0, delay_s[:, None] * flow)

@@ -1,7 +1,8 @@
-"""Stereo matching: features of one camera of a rig are matched in a second camera at the same instant.
+"""Stereo matching: features of one camera of a rig are matched in a second camera.
 
-The relative pose of the two cameras is known, so a feature of the first camera lies on its epipolar line in the second,
-at a position that depends on its inverse depth (Hartley and Zisserman, "Multiple View Geometry", 2004, ch. 9).
+The relative pose of the two cameras is known, so at one instant a feature of the first camera lies on its epipolar line
+in the second, at a position that depends on its inverse depth (Hartley and Zisserman, "Multiple View Geometry", 2004,
+ch. 9).
 Lucas-Kanade tracking starts at an estimate of that depth and is not constrained to the line. A match is accepted if it
 lies close to the line, has a positive depth in the allowed range, and leads back to the feature when tracked backwards.
 
@@ -96,9 +97,10 @@ class StereoMatcher:
 
         Args:
             first: Image of the first camera.
-            second: Image of the second camera at the same instant.
+            second: Image of the second camera.
             pixels: (N, 2) Positions of the features in the first image [px].
-            xy: (N, 2) Undistorted, normalized coordinates of the features.
+            xy: (N, 2) Undistorted, normalized coordinates of the features in the first camera when the second one is
+                exposed.
             inverse_depth: (N,) Predicted inverse depths along the first camera's optical axis [1/m]; NaN where unknown.
 
         Returns:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from dronevio.estimator.frontend import klt
 from dronevio.estimator.frontend.corners import CornerConfig, detect_corners
 from dronevio.estimator.frontend.patches import PatchAligner, PatchConfig, Patches
-from dronevio.estimator.frontend.protocol import image_of, is_inside
+from dronevio.estimator.frontend.protocol import AtExposure, image_of, is_inside
 from dronevio.estimator.frontend.ransac import epipolar_inliers, essential_inliers
 from dronevio.estimator.types import Observations
 from dronevio.models.camera import CameraModel
@@ -146,7 +146,7 @@ class FeatureTracker:
             self._features = self._inliers(tracked, R_cur_prev, rotation_sigma_rad)
         return self._observations()
 
-    def replenish(self, rig: Rig | None = None) -> Observations:
+    def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:
         """Add the best new corner of each grid cell without a feature, and return all features of the frame.
 
         The features that are tracked are aligned more accurately.

@@ -275,6 +275,7 @@ def _camera(path: Path, values: Any) -> RigCamera:
         np.array([_numbers(path, row, "T_imu_cam", 4) for row in rows]),
         _number(path, values, "rate_hz"),
         _number(path, values, "readout_s"),
+        _number(path, values, "time_offset_s") if "time_offset_s" in values else 0.0,  # not in maps of older versions
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from dronevio.models.errors import ConfigError
 from dronevio.models.image_sets.image_set import FocalSource, Image, ImageSet, Indices, InertialData
 from dronevio.models.image_sets.masks import find_masks
+from dronevio.models.imu import Times
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.state import CameraFrame
@@ -53,7 +54,8 @@ def image_recording(
 ) -> ImageSet:
     """Return images of a recording with its calibration, in the order of time.
 
-    The images of a frame follow each other, in the order of ``cameras``. The time stamps are those of the camera clock.
+    The images of a frame follow each other, in the order of ``cameras``. The time stamps are those of their clock.
+    Images of cameras that are exposed at another time than the first of them are frames of their own.
 
     Args:
         recording: A recording, or the path of one that `open_recording` opens.
@@ -71,19 +73,22 @@ def image_recording(
     _check_indices("camera", chosen_cameras, len(recording.rig.cameras))
     chosen_frames = _frame_indices(frames, len(recording.frame_times_ns))
     rig_cameras = [recording.rig.cameras[i] for i in chosen_cameras]
+    delays_ns = _delays_ns(recording, chosen_frames, chosen_cameras)
     frame = np.repeat(np.arange(len(chosen_frames), dtype=np.int64), len(chosen_cameras))
+    own = delays_ns != delays_ns[:, :1]
+    frame = np.where(own.ravel(), len(chosen_frames) + np.arange(len(frame)), frame)
     image_camera = np.tile(np.arange(len(chosen_cameras), dtype=np.int64), len(chosen_frames))
-    t_ns = recording.frame_times_ns[chosen_frames][frame]
+    stamps_ns = np.repeat(recording.frame_times_ns[chosen_frames], len(chosen_cameras))
     calibration: FocalSource = "calibration"
     models = tuple(camera.model for camera in rig_cameras)
-    names = tuple(f"cam{chosen_cameras[k]}/{t}" for k, t in zip(image_camera.tolist(), t_ns.tolist(), strict=True))
+    names = tuple(f"cam{chosen_cameras[k]}/{t}" for k, t in zip(image_camera.tolist(), stamps_ns.tolist(), strict=True))
     return ImageSet(
         names=names,
         image_camera=image_camera,
         cameras=models,
         is_calibrated=np.full(len(models), True),
         is_ordered=True,
-        t_ns=t_ns,
+        t_ns=stamps_ns + delays_ns.ravel(),
         frame=frame,
         Ts_imu_cam=np.stack([camera.T_imu_cam for camera in rig_cameras]),
         read=RecordedImages(recording, chosen_frames, chosen_cameras),
@@ -93,6 +98,14 @@ def image_recording(
         if len(recording.imu)
         else None,
     )
+
+
+def _delays_ns(recording: Recording, frames: Indices, cameras: tuple[int, ...]) -> Times:
+    """Return how much later than its frame (F,) the image of each camera (C,) is exposed, as (F, C) [ns]."""
+    by_stamp = getattr(recording, "image_delays_ns", None)
+    delays = np.zeros((len(frames), len(cameras)), np.int64) if by_stamp is None else by_stamp[frames][:, cameras]
+    offsets = np.array([round(1e9 * recording.rig.cameras[k].time_offset_s) for k in cameras])
+    return np.asarray(delays + offsets)
 
 
 def _frame_indices(frames: int | Sequence[int] | None, count: int) -> Indices:

@@ -8,7 +8,7 @@ benchmark for evaluating visual-inertial odometry", IROS 2018).
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, reduce
+from functools import cached_property
 from pathlib import Path
 from typing import Self
 
@@ -29,13 +29,12 @@ from dronevio.models.recordings.calibration.euroc import (
 from dronevio.models.recordings.exported import increments_of_means, interval_means
 from dronevio.models.recordings.files import write_text
 from dronevio.models.recordings.folder_contents import FolderContents, calibrated_rig
+from dronevio.models.recordings.frame_groups import ABSENT, FrameGroups, delays_of_frame, grouped_frames
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text, read_frame_truth
 from dronevio.models.recordings.image_list import ImageList
 from dronevio.models.recordings.images import DamagedImageError, encode_png, read_grey, significant_bits_of_files
 from dronevio.models.recordings.repair import (
-    ABSENT,
     imu_defects,
-    paired_frames,
     repaired_samples,
     unpaired_images,
 )
@@ -96,6 +95,8 @@ class EurocRecording:
     """(M,) Time stamps at which every camera has an image, or any camera with `repair`; strictly increasing [ns]."""
     image_files: tuple[tuple[Path | None, ...], ...]
     """M image files of each camera, None where it has none."""
+    image_delays_ns: Times = field(repr=False)
+    """(M, C) How much later than its frame each image is stamped [ns]."""
     ground_truth: Trajectory | None
     """Ground truth of the IMU, None if the folder has none."""
     frame_truth: FrameTruth | None = None
@@ -155,6 +156,7 @@ class EurocRecording:
             imu=parts[0].imu,
             frame_times_ns=parts[0].frames.t_ns,
             image_files=parts[0].frames.files,
+            image_delays_ns=parts[0].frames.delays_ns,
             ground_truth=contents.ground_truth,
             frame_truth=contents.frame_truth,
             complete=contents.complete,
@@ -167,6 +169,7 @@ class EurocRecording:
                 imu=part.imu,
                 frame_times_ns=part.frames.t_ns,
                 image_files=part.frames.files,
+                image_delays_ns=part.frames.delays_ns,
                 defects=part.defects,
             )
             for number, part in enumerate(parts, 1)
@@ -201,7 +204,8 @@ class EurocRecording:
                     raise
                 defects.append(Defect(DefectKind.DAMAGED_IMAGE, t_ns, error.found))
             images.append(image)
-        return CameraFrame(t_ns, tuple(images), defects=tuple(defects))
+        delays_ns = delays_of_frame(self.image_delays_ns[index])
+        return CameraFrame(t_ns, tuple(images), defects=tuple(defects), image_delays_ns=delays_ns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,6 +216,8 @@ class _Frames:
     """(M,) Time stamps [ns]."""
     files: tuple[tuple[Path | None, ...], ...]
     """M image files of each camera, None where it has none."""
+    delays_ns: Times
+    """(M, C) How much later than its frame each image is stamped [ns]."""
     defects: tuple[Defect, ...] = ()
     """Defects of the images."""
 
@@ -272,7 +278,7 @@ def _tum_vi_calibration(mav0: Path) -> tuple[Path, ...]:
 
 def _strict_parts(contents: FolderContents) -> tuple[_Part, ...]:
     """Return what a folder without defects has, or raise InputError."""
-    frames = _strict_frames(contents.folder, contents.lists, contents.complete)
+    frames = _strict_frames(contents.folder, contents.lists, contents.complete, contents.rig)
     if len(contents.imu.t_ns):
         check_table(contents.imu, contents.imu_form)
     return (_Part(frames, _sampled(contents, _samples(contents.imu.t_ns, contents.imu.values))),)
@@ -284,10 +290,10 @@ def _repaired_parts(contents: FolderContents) -> tuple[_Part, ...]:
     Raises:
         InputError: There is no IMU, or no segment has frames and IMU samples of the same time.
     """
-    table, mav0, offset_s = contents.imu, contents.folder, contents.rig.time_offset_s
+    table, mav0, rig = contents.imu, contents.folder, contents.rig
     if not len(table.t_ns):
         raise InputError(mav0, "no IMU", "a recording with an IMU; dronevio sfm needs none")
-    offsets_ns = [0, *[round(offset_s * 1e9)] * len(contents.lists)]
+    offsets_ns = [0, *(round((rig.time_offset_s + camera.time_offset_s) * 1e9) for camera in rig.cameras)]
     split = split_at_steps([table.t_ns, *(each.t_ns for each in contents.lists)], offsets_ns)
     table = replace(table, t_ns=split.stamps[0])
     lists = [replace(each, t_ns=t_ns) for each, t_ns in zip(contents.lists, split.stamps[1:], strict=True)]
@@ -295,9 +301,9 @@ def _repaired_parts(contents: FolderContents) -> tuple[_Part, ...]:
     def part(segment: int) -> _Part:
         rows = [np.arange(len(t_ns))[split.rows(k)[segment]] for k, t_ns in enumerate(split.stamps)]
         chosen = [each.selected(of) for each, of in zip(lists, rows[1:], strict=True)]
-        frames = _repaired_frames(mav0, chosen, contents.complete)
+        frames = _repaired_frames(mav0, chosen, contents.complete, rig)
         imu, defects = _repaired_imu(table.selected(rows[0]))
-        late = imu_defects(imu, frames.t_ns, offset_s, mav0)
+        late = imu_defects(imu, frames.t_ns, rig.time_offset_s, mav0)
         steps = split.defects(segment, [table.place, *(each.place for each in lists)])
         return _Part(replace(frames, defects=()), _sampled(contents, imu), (*frames.defects, *defects, *late, *steps))
 
@@ -317,23 +323,38 @@ def _samples(t_ns: Times, values: Array) -> ImuSamples:
     return ImuSamples(t_ns, _columns(values, 0, 3), _columns(values, 3, 6), "point")
 
 
-def _strict_frames(mav0: Path, lists: Sequence[ImageList], complete: bool) -> _Frames:
+def _strict_frames(mav0: Path, lists: Sequence[ImageList], complete: bool, rig: Rig) -> _Frames:
     """Return the frames for which every camera has an image, or raise InputError if time stamps do not increase."""
     checked = [each.check() for each in lists]
-    return _common_frames(mav0, checked if complete else [each.selected(each.existing()) for each in checked], complete)
+    if not complete:
+        checked = [each.selected(each.existing()) for each in checked]
+    return _complete_frames(mav0, checked, complete, rig)
 
 
-def _common_frames(mav0: Path, lists: Sequence[ImageList], complete: bool) -> _Frames:
-    """Return the frames at the time stamps that are in all lists, or raise InputError if there is none."""
-    times = reduce(np.intersect1d, [each.t_ns for each in lists])
-    if not len(times) and not complete:
+def _groups(lists: Sequence[ImageList], rig: Rig) -> FrameGroups:
+    """Return the images of each frame."""
+    return grouped_frames([each.t_ns for each in lists], [camera.time_offset_s for camera in rig.cameras])
+
+
+def _complete_frames(mav0: Path, lists: Sequence[ImageList], complete: bool, rig: Rig) -> _Frames:
+    """Return the frames for which every camera has an image, or raise InputError if there is none."""
+    groups = _groups(lists, rig)
+    groups = groups[groups.is_complete]
+    if not len(groups.t_ns) and not complete:
         raise InputError(mav0, "an incomplete recording without frames", "at least one frame")
-    if not len(times):
-        raise InputError(mav0, f"{len(lists)} cameras without a time stamp in common", "synchronized cameras")
-    return _Frames(times, tuple(each.selected(np.searchsorted(each.t_ns, times)).files for each in lists))
+    _require_frames(mav0, groups)
+    files = tuple(each.selected(of).files for each, of in zip(lists, groups.rows.T, strict=True))
+    return _Frames(groups.t_ns, files, groups.delays_ns)
 
 
-def _repaired_frames(mav0: Path, lists: Sequence[ImageList], complete: bool) -> _Frames:
+def _require_frames(mav0: Path, groups: FrameGroups) -> None:
+    """Raise InputError if no frame has an image of every camera."""
+    if not groups.is_complete.any():
+        found = f"{groups.rows.shape[1]} cameras without a time stamp in common, or any close to one another"
+        raise InputError(mav0, found, "cameras of one clock that record at the same time")
+
+
+def _repaired_frames(mav0: Path, lists: Sequence[ImageList], complete: bool, rig: Rig) -> _Frames:
     """Return the frames for which at least one camera has an image, with their defects.
 
     The images that an interrupted recording lacks are not defects; it has the frames with an image of every camera.
@@ -346,13 +367,13 @@ def _repaired_frames(mav0: Path, lists: Sequence[ImageList], complete: bool) -> 
     existing = [each.existing() for each in lists]
     if not complete:
         kept = [each.selected(exists) for each, exists in zip(lists, existing, strict=True)]
-        return replace(_common_frames(mav0, kept, complete), defects=defects)
+        return replace(_complete_frames(mav0, kept, complete, rig), defects=defects)
     for each, exists in zip(lists, existing, strict=True):
         if not exists.any():
             raise InputError(each.path, f"{len(exists)} images, none of which exists", "the images in the folder data")
-    t_ns, rows = paired_frames([each.t_ns for each in lists])
-    if (rows == ABSENT).any(axis=1).all():
-        raise InputError(mav0, f"{len(lists)} cameras without a time stamp in common", "synchronized cameras")
+    groups = _groups(lists, rig)
+    _require_frames(mav0, groups)
+    t_ns, rows = groups.t_ns, groups.rows
     has_image = np.stack([exists[of] & (of != ABSENT) for exists, of in zip(existing, rows.T, strict=True)], axis=1)
     seen = has_image.any(axis=1)
     files = tuple(
@@ -365,7 +386,7 @@ def _repaired_frames(mav0: Path, lists: Sequence[ImageList], complete: bool) -> 
         *(defect for each in lists for defect in each.missing()),
         *unpaired_images(t_ns[seen], rows[seen], names),
     )
-    return _Frames(t_ns[seen], files, defects)
+    return _Frames(t_ns[seen], files, groups.delays_ns[seen], defects)
 
 
 def find_mav0(folder: Path | str) -> Path:
@@ -546,14 +567,25 @@ def write_euroc_recording(
         InputError: A frame cannot be read, or a file cannot be written.
     """
     times, mav0 = recording.frame_times_ns, Path(folder) / "mav0"
-    write_euroc(folder, recording.rig, recording.imu, recording.ground_truth, times, frame_truth)
+    write_euroc(folder, recording.rig, recording.imu, recording.ground_truth, times[:0], frame_truth)
     write_text(mav0 / INCOMPLETE, "Frames are missing: the recording is being written, or writing was interrupted.\n")
     progress(0, len(times))
-    for index, t_ns in enumerate(times.tolist()):
-        for number, image in enumerate(recording.frame(index).images):
-            (mav0 / f"cam{number}" / "data" / f"{t_ns}.png").write_bytes(encode_png(image))
+    for index in range(len(times)):
+        frame = recording.frame(index)
+        delays_ns = frame.image_delays_ns or (0,) * len(frame.images)
+        for number, (image, delay_ns) in enumerate(zip(frame.images, delays_ns, strict=True)):
+            _write_image(mav0 / f"cam{number}", frame.t_ns + delay_ns, image)
         progress(index + 1, len(times))
     (mav0 / INCOMPLETE).unlink()
+
+
+def _write_image(camera: Path, t_ns: int, image: npt.NDArray[np.uint8]) -> None:
+    """Write an image with its time stamp, and add it to the list of its camera, unless it is `NO_IMAGE`."""
+    if not image.size:
+        return
+    (camera / "data" / f"{t_ns}.png").write_bytes(encode_png(image))
+    with (camera / "data.csv").open("a", encoding="utf-8") as listed:
+        listed.write(f"{t_ns},{t_ns}.png\n")
 
 
 def _truth_text(truth: Trajectory) -> str:

@@ -12,15 +12,11 @@ from dronevio.models.errors import InputError
 from dronevio.models.imu import IMU_GAP_INTERVALS, ImuSamples, Times
 from dronevio.models.protocols import MAX_WAIT_INTERVALS
 from dronevio.models.recordings.bursts import spread_bursts
+from dronevio.models.recordings.frame_groups import ABSENT
 
 Rows = npt.NDArray[np.int64]
 Describe = Callable[[int], str]
 """Function that returns the place of a row, such as its file and line."""
-
-SYNC_TOLERANCE_S = 1e-3
-"""Largest difference of the time stamps of the images of one frame [s]."""
-ABSENT = -1
-"""Index in place of an image that a camera lacks."""
 
 
 @dataclass(frozen=True)
@@ -98,37 +94,6 @@ def repaired_samples(
     defects = (*not_finite, *(Defect(DefectKind.IMU_BURST, int(t_ns[row]), describe(row)) for row in spread_rows))
     increasing, unordered = increasing_rows(spread, IMU_STAMPS, lambda row: describe(int(finite[row])))
     return spread[increasing], finite[increasing], (*defects, *unordered)
-
-
-def paired_frames(stamps: Sequence[Times], tolerance_s: float = SYNC_TOLERANCE_S) -> tuple[Times, Rows]:
-    """Return the frames of C cameras: one for each time at which at least one camera has an image.
-
-    Args:
-        stamps: Increasing time stamps of the images of each camera [ns].
-        tolerance_s: Largest difference of the time stamps of the images of one frame [s].
-
-    Returns:
-        Time stamps (M,) [ns], each that of the first camera with an image, and the index (M, C) of each image in the
-        list of its camera, `ABSENT` where it has none.
-    """
-    if all(np.array_equal(stamps[0], other) for other in stamps[1:]):
-        return stamps[0], np.tile(np.arange(len(stamps[0]))[:, None], (1, len(stamps)))
-    tolerance_ns = round(tolerance_s * 1e9)
-    images = sorted((int(t), camera, row) for camera, of in enumerate(stamps) for row, t in enumerate(of.tolist()))
-    frames: list[dict[int, tuple[int, int]]] = []
-    start_ns = 0
-    for t_ns, camera, row in images:
-        if not frames or t_ns - start_ns > tolerance_ns or camera in frames[-1]:
-            frames.append({})
-            start_ns = t_ns
-        frames[-1][camera] = t_ns, row
-    times = np.array([frame[min(frame)][0] for frame in frames], dtype=np.int64)
-    rows = np.full((len(frames), len(stamps)), ABSENT, dtype=np.int64)
-    for index, frame in enumerate(frames):
-        for camera, (_, row) in frame.items():
-            rows[index, camera] = row
-    increases = np.concatenate([[True], np.diff(times) > 0])  # images of one camera within the tolerance
-    return times[increases], rows[increases]
 
 
 def unpaired_images(times_ns: Times, rows: Rows, names: Sequence[str]) -> tuple[Defect, ...]:

@@ -7,22 +7,26 @@ import numpy.typing as npt
 
 from dronevio.models.imu import Times
 from dronevio.models.quaternions import slerp_quat_wxyz
+from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix
 from dronevio.models.state import Trajectory
 
 Array = npt.NDArray[np.float64]
 
 
-def camera_poses(trajectory: Trajectory, T_imu_cam: Array) -> Callable[[Times], Array]:
-    """Return the poses T_world_cam (M, 4, 4) of a camera at times (M,) [ns] as a function.
+def camera_poses(trajectory: Trajectory, camera: RigCamera) -> Callable[[Times], Array]:
+    """Return the poses T_world_cam (M, 4, 4) of a camera as a function of the times (M,) of frames [ns].
+
+    A camera with a time offset of its own is later in its motion by it.
 
     Args:
         trajectory: Trajectory of the IMU.
-        T_imu_cam: (4, 4) Mounting of the camera.
+        camera: The camera.
     """
+    offset_ns = round(1e9 * camera.time_offset_s)
 
     def poses_at(t_ns: Times) -> Array:
-        return np.asarray(interpolated_poses(trajectory, t_ns) @ T_imu_cam)
+        return np.asarray(interpolated_poses(trajectory, t_ns + offset_ns) @ camera.T_imu_cam)
 
     return poses_at
 

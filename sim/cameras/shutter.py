@@ -188,10 +188,10 @@ class Shutter:
 
 
 def half_span_ns(camera: RigCamera, exposure_s: float) -> int:
-    """Return the largest time between the middle of an exposure and a pose that `Shutter.expose` requires [ns]."""
+    """Return the largest time between the middle of a frame and a pose that `Shutter.expose` requires [ns]."""
     height = camera.model.height
     delays_ns = np.abs(_delays_ns(_grid_px(height), height, camera.readout_s * 1e9))
-    return int(np.ceil(0.5e9 * exposure_s + delays_ns.max())) + 1
+    return int(np.ceil(0.5e9 * exposure_s + delays_ns.max() + 1e9 * abs(camera.time_offset_s))) + 1
 
 
 def margin_px(turn_px: float) -> int:

@@ -134,7 +134,7 @@ class LiveCameras:
         world = loaded.lease.value
         motion = _around(truth, exposed_ns, self._half_span_ns)
         scene = Scene.sampled(world.illumination, world.movers, motion.t_ns, self._start_ns)
-        poses = [camera_poses(motion, camera.T_imu_cam) for camera in self._rig.cameras]
+        poses = [camera_poses(motion, camera) for camera in self._rig.cameras]
         histogram = np.zeros(256)
         if self._imaging.control.needs_histograms:
             T_world_cam = poses[0](np.array([exposed_ns]))[0]

@@ -10,7 +10,7 @@ from dronevio.models.imu import Times
 from dronevio.models.rig import Rig
 from dronevio.models.state import Trajectory
 from dronevio.sim.cameras.imaging import Imaging
-from dronevio.sim.cameras.interpolation import interpolated_poses
+from dronevio.sim.cameras.interpolation import camera_poses
 from dronevio.sim.cameras.schedule import FrameSchedule
 from dronevio.sim.cameras.shutter import Poses, margin_px, turn_in_pixels
 from dronevio.sim.rendering.truth_images import TruthImage
@@ -57,11 +57,14 @@ class RenderJob:
             raise ConfigError(f"a motion of {len(self.trajectory)} poses; expected at least two")
 
     def poses(self, camera: int) -> Poses:
-        """Return the poses T_simworld_cam of a camera of the rig as a function of time."""
-        T_imu_cam = self.rig.cameras[camera].T_imu_cam
+        """Return the poses T_simworld_cam of a camera of the rig as a function of time.
+
+        A camera with a time offset of its own is later in its motion by it; movers in the world are not.
+        """
+        poses = camera_poses(self.trajectory, self.rig.cameras[camera])
 
         def poses_at(t_ns: Times) -> Array:
-            return np.asarray(self.T_simworld_world @ interpolated_poses(self.trajectory, t_ns) @ T_imu_cam)
+            return np.asarray(self.T_simworld_world @ poses(t_ns))
 
         return poses_at
 

@@ -14,6 +14,7 @@ from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimator.backend.landmarks import LandmarkConfig
 from dronevio.estimator.backend.smoother import Keyframe, KeyframeResult, KeyframeSmoother
 from dronevio.estimator.config import VioConfig
+from dronevio.estimator.frontend.protocol import AtExposure
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.keyframe_observer import KeyframeObserver
@@ -171,7 +172,7 @@ class SyntheticFrontEnd:
             delay_ns = np.rint((row / (self._model.height - 1) - 0.5) * readout_s * 1e9).astype(np.int64)
         return np.asarray(p)
 
-    def replenish(self, rig: Rig | None = None) -> Observations:
+    def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:
         """Observe further visible landmarks, up to the largest number of features."""
         free = np.flatnonzero(self._visible & (self._ids < 0) & self._has_image)
         chosen = free[: max(self._flight.max_features - int((self._ids >= 0).sum()), 0)]

@@ -15,8 +15,9 @@ from dronevio.models.defects import DefectKind, count_defects, defect_values, de
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.recordings.euroc import EurocRecording, read_euroc_frame_times, write_euroc_recording
+from dronevio.models.recordings.frame_groups import ABSENT, grouped_frames
 from dronevio.models.recordings.open import open_recording
-from dronevio.models.recordings.repair import ABSENT, IMAGE_STAMPS, increasing_rows, paired_frames, unpaired_images
+from dronevio.models.recordings.repair import IMAGE_STAMPS, increasing_rows, unpaired_images
 from dronevio.models.state import NO_IMAGE
 
 FRAMES = 6
@@ -239,7 +240,8 @@ def test_rows_are_those_of_a_stable_sort(t: list[int]) -> None:
 def test_each_image_belongs_to_one_frame(of_cameras: list[set[int]], tolerance: int) -> None:
     """No image is lost unless one camera has two within the tolerance; the images of a frame are within it."""
     t_ns: list[Times] = [np.array(sorted(of), dtype=np.int64) for of in of_cameras]
-    times, rows = paired_frames(t_ns, tolerance * 1e-9)
+    groups = grouped_frames(t_ns, tolerance_s=tolerance * 1e-9)
+    times, rows = groups.t_ns, groups.rows
     assert np.all(np.diff(times) > 0) and (rows != ABSENT).any(axis=1).all()
     for camera, column in enumerate(rows.T):
         used = column[column != ABSENT]

@@ -202,7 +202,7 @@ def without(key: str) -> Callable[[str], str]:
         ("resolution: [752, 480]", "resolution: [752, 0]", "whole pixels"),
         ("intrinsics: [458.654", "intrinsics: [-1", "positive focal lengths"),
         ("timeshift_cam_imu: 0.0", "timeshift_cam_imu: .nan", 'cam0.timeshift_cam_imu: ".nan"'),
-        ("timeshift_cam_imu: 0.0", "timeshift_cam_imu: 0.1", "one time stamp"),
+        ("timeshift_cam_imu: 0.0", "timeshift_cam_imu: 5.0", "time_offset_s = -5.0"),
         ("rate_hz: 20.0", "rate_hz: 10.0", "one rate"),
         ("rate_hz: 20.0", "rate_hz: 20.0\n  readout_s: 1.0", "readout_s = 1.0"),
         ("T_imu_cam:\n    - [0.01486", "T_imu_cam:\n    - [0.9", "cam0.T_imu_cam"),

@@ -2,9 +2,11 @@
 
 import numpy as np
 
+from dronevio.models.rig import EUROC_CAM0, EUROC_T_IMU_CAM0, RigCamera
 from dronevio.models.rotation import exp_so3, log_so3, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
-from dronevio.sim.cameras.interpolation import interpolated_poses
+from dronevio.sim.cameras.interpolation import camera_poses, interpolated_poses
+from dronevio.sim.cameras.shutter import half_span_ns
 
 START_NS = 1_403_715_273_262_142_976
 T_NS = START_NS + np.arange(0, 1_000_000_000, 5_000_000, dtype=np.int64)
@@ -40,3 +42,12 @@ def test_drone_motion_has_the_documented_accuracy() -> None:
     error_rad = np.linalg.norm(log_so3(np.swapaxes(T[:, :3, :3], 1, 2) @ R(t_ns)), axis=1)
     assert 1e-5 < error_m.max() < 3.2e-5
     assert error_rad.max() < 1e-4  # a twentieth of a pixel
+
+
+def test_a_camera_with_a_time_offset_is_later_in_the_motion() -> None:
+    path = Trajectory(T_NS, seconds(T_NS) * W, quat_wxyz_from_matrix(exp_so3(seconds(T_NS) * W)))
+    camera = RigCamera(EUROC_CAM0, EUROC_T_IMU_CAM0, time_offset_s=0.00216)
+    t_ns = START_NS + np.array([0, 500_000_000])
+    expected = interpolated_poses(path, t_ns + 2_160_000) @ EUROC_T_IMU_CAM0
+    np.testing.assert_array_equal(camera_poses(path, camera)(t_ns), expected)
+    assert half_span_ns(camera, 0.001) == 2_660_001

@@ -31,15 +31,13 @@ from dronevio.models.recordings.bag.topics import IMAGE_TYPES, IMU_TYPES, find_t
 from dronevio.models.recordings.bag.truth import read_bag_frame_truth, read_bag_truth
 from dronevio.models.recordings.bag.writer import TRUTH_TOPIC
 from dronevio.models.recordings.bit_depth import MAX_BITS, DeepImage, significant_bits, spread, to_8bit
+from dronevio.models.recordings.frame_groups import ABSENT, FrameGroups, delays_of_frame, grouped_frames
 from dronevio.models.recordings.frame_truth import FrameTruth
 from dronevio.models.recordings.images import DamagedImageError
 from dronevio.models.recordings.repair import (
-    ABSENT,
     IMAGE_STAMPS,
-    SYNC_TOLERANCE_S,
     imu_defects,
     increasing_rows,
-    paired_frames,
     repaired_samples,
     unpaired_images,
 )
@@ -48,6 +46,8 @@ from dronevio.models.rig import Rig, check_camera_count
 from dronevio.models.state import NO_IMAGE, CameraFrame, Trajectory
 
 Array = npt.NDArray[np.float64]
+
+MAX_TIME_S = 1e9  # longer than any recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +71,8 @@ class BagRecording:
     """Topics that were read."""
     image_rows: npt.NDArray[np.int64] = field(repr=False)
     """(M, C) Index of the message of each frame and camera in the image topic, `ABSENT` where there is none."""
+    image_delays_ns: Times = field(repr=False)
+    """(M, C) How much later than its frame each image is stamped [ns]."""
     images: tuple["ImageTopic", ...] = field(repr=False)
     """Image topic of each camera."""
     complete: bool = True
@@ -90,7 +92,7 @@ class BagRecording:
         cameras: int | None = None,
         calibration: Sequence[Path] = (),
         topics: BagTopics | None = None,
-        sync_tolerance_s: float = SYNC_TOLERANCE_S,
+        sync_tolerance_s: float | None = None,
         repair: bool = False,
         imu: ImuModel | None = None,
     ) -> "BagRecording":
@@ -101,7 +103,8 @@ class BagRecording:
             cameras: Number of cameras to use; None for all.
             calibration: Calibration files of Kalibr, which replace the calibration in the bag.
             topics: Topics to read instead of those found by message type.
-            sync_tolerance_s: Largest difference of the time stamps of the images of one frame [s].
+            sync_tolerance_s: Largest difference between the exposures of two images of one frame [s]; None for half of
+                the time between frames, at most 25 ms.
             repair: Whether to go on with damaged images, time stamps that do not increase and IMU samples that are not
                 finite, and to list them in `defects`. Otherwise, damaged images, equal time stamps and samples that are
                 not finite raise an error, and frames that not every camera has are left out.
@@ -131,9 +134,10 @@ class BagRecording:
         def segment(index: int) -> "BagRecording":
             own = [each.selected(split.rows(k)[index]) for k, each in enumerate(streams)]
             images = tuple(ImageTopic(bag, stamps, repair) for stamps in own[1:])
-            times, rows = (_all_frames if repair else synchronized)(bag, images, sync_tolerance_s)
-            calibrations = read_calibrations(bag, files, _rate_hz(times))
-            rig, sampling = bag_rig(bag, selected, calibrations, _rate_hz(times), parts, imu)
+            calibrations = read_calibrations(bag, files, _rate_hz(images[0].t_ns))
+            rig, sampling = bag_rig(bag, selected, calibrations, _rate_hz(images[0].t_ns), parts, imu)
+            frames = _frames(bag, images, rig, sync_tolerance_s, repair)
+            times = frames.t_ns
             samples, imu_found = _imu_of(bag, own[0], imu_values[split.rows(0)[index]], sampling, repair)
             if imu is not None and len(samples) > 1:
                 rig = replace(rig, imu=replace(imu, rate_hz=_rate_hz(samples.t_ns)))
@@ -142,7 +146,7 @@ class BagRecording:
                 defects = (
                     *(defect for each in own for defect in each.defects),
                     *(defect for topic in images for defect in topic.defects),
-                    *unpaired_images(times, rows, selected.images),
+                    *unpaired_images(times, frames.rows, selected.images),
                     *imu_found,
                     *imu_defects(samples, times, rig.time_offset_s, bag.path),
                     *split.defects(index, [each.place for each in streams]),
@@ -155,7 +159,8 @@ class BagRecording:
                 ground_truth=truths[index],
                 frame_truth=frame_truth,
                 topics=selected,
-                image_rows=rows,
+                image_rows=frames.rows,
+                image_delays_ns=frames.delays_ns,
                 images=images,
                 repair=repair,
                 defects=defects,
@@ -184,7 +189,8 @@ class BagRecording:
                     raise
                 defects.append(Defect(DefectKind.DAMAGED_IMAGE, t_ns, error.found))
             images.append(image)
-        return CameraFrame(t_ns, tuple(images), defects=tuple(defects))
+        delays_ns = delays_of_frame(self.image_delays_ns[index])
+        return CameraFrame(t_ns, tuple(images), defects=tuple(defects), image_delays_ns=delays_ns)
 
 
 class ImageTopic:
@@ -354,51 +360,26 @@ def _imu_of(
     return ImuSamples(t_ns, gyro, accel, sampling), defects
 
 
-def _all_frames(
-    bag: BagFile, images: Sequence[ImageTopic], sync_tolerance_s: float
-) -> tuple[Times, npt.NDArray[np.int64]]:
-    """Return the frames that at least one camera has, as `synchronized` does.
+def _frames(
+    bag: BagFile, images: Sequence[ImageTopic], rig: Rig, sync_tolerance_s: float | None, repair: bool
+) -> FrameGroups:
+    """Return the frames for which every camera has an image; with `repair`, also those of some cameras.
 
     Raises:
         InputError: No frame has an image of each camera.
     """
-    times, rows = paired_frames([topic.t_ns for topic in images], sync_tolerance_s)
-    if (rows == ABSENT).any(axis=1).all():
-        return synchronized(bag, images, sync_tolerance_s)  # raises the error
-    return times, rows
-
-
-def synchronized(
-    bag: BagFile, images: Sequence[ImageTopic], sync_tolerance_s: float
-) -> tuple[Times, npt.NDArray[np.int64]]:
-    """Return the synchronized frames of C cameras.
-
-    Args:
-        bag: The bag, for error messages.
-        images: C image topics.
-        sync_tolerance_s: Largest difference of the time stamps of the images of one frame [s].
-
-    Returns:
-        Time stamps (M,) [ns] of the first camera, and the index (M, C) of each image in its topic.
-
-    Raises:
-        InputError: No frame has an image of each camera.
-    """
-    times = images[0].t_ns
-    rows, differences = [np.arange(len(times))], [np.zeros(len(times), np.int64)]
-    for other in images[1:]:
-        after = np.clip(np.searchsorted(other.t_ns, times), 1, max(len(other.t_ns) - 1, 1))
-        before = after - 1
-        after = np.minimum(after, len(other.t_ns) - 1)
-        nearest = np.where(np.abs(other.t_ns[after] - times) < np.abs(other.t_ns[before] - times), after, before)
-        rows.append(nearest)
-        differences.append(np.abs(other.t_ns[nearest] - times))
-    largest = np.max(differences, axis=0)
-    kept = largest <= sync_tolerance_s * 1e9
-    if not kept.any():
-        found = f"no images of all {len(images)} cameras closer in time than {largest.min() * 1e-9:.4g} s"
-        raise bag.error(found, f"frames whose time stamps differ by at most {sync_tolerance_s:g} s")
-    return times[kept], np.stack(rows, axis=1)[kept]
+    stamps, offsets_s = [topic.t_ns for topic in images], [camera.time_offset_s for camera in rig.cameras]
+    groups = grouped_frames(stamps, offsets_s, sync_tolerance_s)
+    if groups.is_complete.any():
+        return groups if repair else groups[groups.is_complete]
+    groups = grouped_frames(stamps, offsets_s, MAX_TIME_S)
+    t_ns = np.stack([of[rows] for of, rows in zip(stamps, groups.rows[groups.is_complete].T, strict=True)])
+    differ_s = 1e-9 * float(np.ptp(t_ns, axis=0).min(initial=MAX_TIME_S * 1e9))
+    expected = "half of the time between frames" if sync_tolerance_s is None else f"{sync_tolerance_s:g} s"
+    raise bag.error(
+        f"no images of all {len(images)} cameras closer in time than {differ_s:.4g} s",
+        f"frames whose time stamps differ by at most {expected}",
+    )
 
 
 def _rate_hz(times_ns: Times) -> float:

@@ -206,13 +206,13 @@ def _frames(recording: Recording, images: Images, progress: Progress) -> Iterato
     progress(0, count)
     for index in range(count):
         frame = recording.frame(index)
-        for number, (camera, image) in enumerate(zip(recording.rig.cameras, frame.images, strict=True)):
-            topic, reference = CAMERA_TOPIC.format(number), CAMERA.format(number)
-            message = image_message(image, frame.t_ns, reference, images == "png")
-            yield frame.t_ns, topic + (COMPRESSED if images == "png" else ""), message
-            yield (
-                frame.t_ns,
-                f"/cam{number}/camera_info",
-                camera_info(camera.model, frame.t_ns, reference, rectified[number]),
-            )
+        delays_ns = frame.image_delays_ns or (0,) * len(frame.images)
+        timed = sorted(zip(delays_ns, range(len(frame.images)), frame.images, strict=True), key=lambda each: each[:2])
+        for delay_ns, number, image in timed:
+            if image.size:
+                t_ns, reference = frame.t_ns + delay_ns, CAMERA.format(number)
+                model, rectification = recording.rig.cameras[number].model, rectified[number]
+                topic = CAMERA_TOPIC.format(number) + (COMPRESSED if images == "png" else "")
+                yield t_ns, topic, image_message(image, t_ns, reference, images == "png")
+                yield t_ns, f"/cam{number}/camera_info", camera_info(model, t_ns, reference, rectification)
         progress(index + 1, count)

@@ -5,7 +5,8 @@ Lenses that the data set does not have are described as in Kalibr's files (`came
 
 Fields of a `Rig` that the format does not include are written under additional keys, which other readers ignore:
 ``T_vehicle_imu`` (pose of the IMU in the vehicle frame) and ``time_offset_s`` (t_imu − t_cam) in ``body.yaml``,
-``readout_s`` in the ``sensor.yaml`` of a camera with a rolling shutter, and the keys of
+``readout_s`` in the ``sensor.yaml`` of a camera with a rolling shutter, ``time_offset_s`` in that of a camera that is
+exposed at another time than the first, and the keys of
 `dronevio.models.recordings.calibration.imu_fields` in that of the IMU, with ``sampling`` if its samples are increments.
 """
 
@@ -78,8 +79,9 @@ def _read_camera(yaml: YamlDocument) -> RigCamera:
     """Return the camera of a ``sensor.yaml``, or raise InputError."""
     model = read_camera_model(yaml, _COEFFICIENTS)
     readout_s = yaml.number("readout_s") if "readout_s" in yaml else 0.0
+    offset_s = yaml.number("time_offset_s") if "time_offset_s" in yaml else 0.0
     with as_input_error(yaml.path):
-        return RigCamera(model, yaml.pose("T_BS"), yaml.positive("rate_hz"), readout_s)
+        return RigCamera(model, yaml.pose("T_BS"), yaml.positive("rate_hz"), readout_s, offset_s)
 
 
 def _read_imu(yaml: YamlDocument) -> ImuModel:
@@ -91,12 +93,17 @@ def _read_imu(yaml: YamlDocument) -> ImuModel:
 
 def _camera_yaml(camera: RigCamera) -> str:
     """Return the ``sensor.yaml`` of a camera."""
+    more = ""
+    if camera.readout_s:
+        more += f"readout_s: {yaml_text(float(camera.readout_s))} # first to last row\n"
+    if camera.time_offset_s:
+        more += f"time_offset_s: {yaml_text(float(camera.time_offset_s))} # of the exposure, beside that in body.yaml\n"
     return (
         "sensor_type: camera\ncomment: pixel centres are whole numbers\n\n"
         f"# pose of the camera (x right, y down, z forward) in the body frame\n{pose_yaml('T_BS', camera.T_imu_cam)}\n"
         f"rate_hz: {yaml_text(float(camera.rate_hz))}\n"
-        f"{camera_model_yaml(camera.model, _COEFFICIENTS, 'radial-tangential')}"
-    ) + (f"readout_s: {yaml_text(float(camera.readout_s))} # first to last row\n" if camera.readout_s else "")
+        f"{camera_model_yaml(camera.model, _COEFFICIENTS, 'radial-tangential')}{more}"
+    )
 
 
 def _imu_yaml(imu: ImuModel) -> str:

@@ -7,6 +7,7 @@ calibration is not estimated, because that of the rig is regarded as exact.
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -80,9 +81,12 @@ def vins_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str, st
     """Return the configuration of VINS-Fusion (Qin et al., 2019), as in ``config/euroc`` of its sources.
 
     Raises:
-        ConfigError: The rig has more than two cameras, or VINS-Fusion has no such lens.
+        ConfigError: The rig has more than two cameras, cameras with images of different sizes or with different time
+            offsets, or VINS-Fusion has no such lens.
     """
     _require_at_most_two(rig, "VINS-Fusion")
+    _require_one_size(rig, "VINS-Fusion")
+    offset_s = _common_offset_s(rig, "VINS-Fusion")
     _require_lens(rig, "VINS-Fusion", "radtan", "equidistant", "omni", counts=(4, 5, 8))
     model, rate = rig.cameras[0].model, np.sqrt(rig.imu.rate_hz)
     text = f'{_OPENCV}imu: 1\nnum_of_cam: {len(rig.cameras)}\nimu_topic: "{IMU_TOPIC}"\n'
@@ -100,7 +104,7 @@ def vins_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str, st
         f"acc_w: {yaml_text(float(rig.imu.accel_random_walk * rate))}\n"
         f"gyr_w: {yaml_text(float(rig.imu.gyro_random_walk * rate))}\n"
         f"g_norm: {GRAVITY_M_S2}\n"
-        f"estimate_td: 0\ntd: {yaml_text(float(rig.time_offset_s))}  # t_imu = t_cam + td\n"
+        f"estimate_td: 0\ntd: {yaml_text(float(offset_s))}  # t_imu = t_cam + td\n"
         'load_previous_pose_graph: 0\npose_graph_save_path: "/tmp/"\nsave_image: 0\n'
     )
     kind = "stereo" if len(rig.cameras) > 1 else "mono"
@@ -114,14 +118,16 @@ def orbslam3_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str
     ORB-SLAM3 has no setting for a time offset between camera and IMU.
 
     Raises:
-        ConfigError: The rig has more than two cameras, cameras with different lens models, or a lens that ORB-SLAM3
-            does not have.
+        ConfigError: The rig has more than two cameras, cameras with different lens models, time offsets or images of
+            different sizes, or a lens that ORB-SLAM3 does not have.
     """
     _require_at_most_two(rig, "ORB-SLAM3")
     _require_lens(rig, "ORB-SLAM3", "radtan", "equidistant", counts=(4, 5))
     first = rig.cameras[0]
     if any(camera.model.lens != first.model.lens for camera in rig.cameras):
         raise ConfigError("cameras with different lens models; expected the same for ORB-SLAM3")
+    _require_one_size(rig, "ORB-SLAM3")
+    _common_offset_s(rig, "ORB-SLAM3")
     fisheye = first.model.lens == "equidistant"
     text = f'{_OPENCV}File.version: "1.0"\nCamera.type: "{"KannalaBrandt8" if fisheye else "PinHole"}"\n'
     for i, camera in enumerate(rig.cameras, 1):
@@ -156,21 +162,24 @@ def basalt_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str, 
     """Return the calibration of Basalt (Usenko et al., RA-L 2020), as in ``data/*_calib.json`` of its sources.
 
     Raises:
-        ConfigError: Basalt has no such lens.
+        ConfigError: The time offsets of the cameras differ, or Basalt has no such lens.
     """
-    return {"calib.json": basalt_json(rig)}
+    offset_s = _common_offset_s(rig, "Basalt")
+    return {"calib.json": basalt_json(replace(rig, time_offset_s=offset_s))}
 
 
 def kimera_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str, str]:
     """Return the calibration of Kimera-VIO (Rosinol et al., ICRA 2020), which replaces files of its ``params/Euroc``.
 
     Raises:
-        ConfigError: The rig has more than two cameras, or Kimera has no such lens.
+        ConfigError: The rig has more than two cameras, or cameras with different time offsets, or Kimera has no such
+            lens.
     """
     _require_at_most_two(rig, "Kimera-VIO")
+    offset_s = _common_offset_s(rig, "Kimera-VIO")
     _require_lens(rig, "Kimera-VIO", "radtan", "equidistant")
     texts = calibration_files(rig)
-    files = {"ImuParams.yaml": _kimera_imu(texts["imu0/sensor.yaml"], rig.time_offset_s)}
+    files = {"ImuParams.yaml": _kimera_imu(texts["imu0/sensor.yaml"], offset_s)}
     for i, side in zip(range(len(rig.cameras)), ("left", "right"), strict=False):
         files[f"{side.title()}CameraParams.yaml"] = f"{_OPENCV}camera_id: {side}_cam\n{texts[f'cam{i}/sensor.yaml']}"
     return files
@@ -275,6 +284,23 @@ def _require_at_most_two(rig: Rig, program: str) -> None:
     """Raise ConfigError unless a rig has one camera or two."""
     if len(rig.cameras) > 2:
         raise ConfigError(f"{len(rig.cameras)} cameras; expected one or two for {program}")
+
+
+def _require_one_size(rig: Rig, program: str) -> None:
+    """Raise ConfigError unless the images of all cameras have one size."""
+    sizes = list(dict.fromkeys((camera.model.width, camera.model.height) for camera in rig.cameras))
+    if len(sizes) > 1:
+        listed = " and ".join(f"{width} × {height}" for width, height in sizes)
+        raise ConfigError(f"cameras with images of {listed} px; expected one size for {program}")
+
+
+def _common_offset_s(rig: Rig, program: str) -> float:
+    """Return the time offset of all cameras [s], or raise ConfigError if they differ."""
+    offsets = list(dict.fromkeys(rig.time_offset_s + camera.time_offset_s for camera in rig.cameras))
+    if len(offsets) > 1:
+        listed = " and ".join(f"{offset_s:g}" for offset_s in offsets)
+        raise ConfigError(f"cameras with time offsets of {listed} s; expected one for {program}")
+    return offsets[0] if offsets else rig.time_offset_s
 
 
 def _require_lens(rig: Rig, program: str, *lenses: LensName, counts: tuple[int, ...] = (4,)) -> None:

@@ -8,6 +8,7 @@ OpenVINS), ``rate_hz`` and ``readout_s`` of a camera, ``T_vehicle_imu``, ``sampl
 `dronevio.models.recordings.calibration.imu_fields`.
 """
 
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -89,7 +90,7 @@ def _camera_yaml(rig: Rig, number: int) -> str:
     if number:
         text += rows_yaml("T_cn_cnm1", T_cam_imu @ rig.cameras[number - 1].T_imu_cam)
     text += (
-        f"timeshift_cam_imu: {yaml_text(float(rig.time_offset_s))}\n"
+        f"timeshift_cam_imu: {yaml_text(float(rig.time_offset_s + camera.time_offset_s))}\n"
         f"rostopic: {CAMERA_TOPIC.format(number)}\n"
         f"cam_overlaps: [{others}]\n"
         f"{rows_yaml('T_imu_cam', camera.T_imu_cam)}"
@@ -125,10 +126,13 @@ def _read_chain(yaml: YamlDocument, rate_hz: float) -> tuple[tuple[RigCamera, ..
     topics = tuple(yaml.word(f"{cam}rostopic") if f"{cam}rostopic" in yaml else "" for cam in names)
     shifts = [f"{cam}timeshift_cam_imu" for cam in names]
     offsets = tuple(yaml.number(key) if key in yaml else 0.0 for key in shifts)
-    for key, offset_s in zip(shifts, offsets, strict=True):
-        if abs(offset_s - offsets[0]) > _TIME_OFFSET_TOLERANCE_S:
-            raise yaml.error(key, f"that of cam0, {offsets[0]:g} s, because a frame has one time stamp")
-    return tuple(cameras), topics, offsets
+    own = [round(offset_s - offsets[0], 12) for offset_s in offsets]
+    with as_input_error(yaml.path):
+        timed = tuple(
+            replace(camera, time_offset_s=own_s) if abs(own_s) > _TIME_OFFSET_TOLERANCE_S else camera
+            for camera, own_s in zip(cameras, own, strict=True)
+        )
+    return timed, topics, offsets
 
 
 def _read_camera(yaml: YamlDocument, cam: str, previous: list[RigCamera], rate_hz: float) -> RigCamera:

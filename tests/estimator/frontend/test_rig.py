@@ -100,6 +100,67 @@ def test_matches_are_at_the_projections_of_landmarks(render_wall: RenderWall, ri
         break
 
 
+def cropped(model: CameraModel, x: int, y: int) -> CameraModel:
+    """Return a camera without some columns at the left and right, and rows at the top and bottom."""
+    return replace(model, width=model.width - 2 * x, height=model.height - 2 * y, cx=model.cx - x, cy=model.cy - y)
+
+
+LARGE_LEFT, LARGE_RIGHT = LEFT.resized(752, 480), RIGHT.resized(752, 480)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "error_px", "share"),
+    [
+        (LARGE_LEFT, RIGHT, 0.15, 0.85),
+        (LEFT, LARGE_RIGHT, 0.3, 0.85),  # of the finer camera
+        (LARGE_LEFT, RIGHT.resized(600, 380), 0.15, 0.85),
+        (LARGE_LEFT, cropped(LARGE_RIGHT, 60, 40), 0.15, 0.85),
+        (cropped(LARGE_LEFT, 80, 20), LARGE_RIGHT, 0.15, 0.85),
+        (LEFT, FISHEYE, 0.15, 0.5),  # far from the axis, patches of a fisheye are compressed
+    ],
+    ids=["second half", "first half", "second smaller", "second cropped", "first cropped", "pinhole and fisheye"],
+)
+def test_cameras_with_images_of_different_sizes_are_matched(
+    render_wall: RenderWall, first: CameraModel, second: CameraModel, error_px: float, share: float
+) -> None:
+    rig = rig_of((first, np.eye(3), [0, 0, 0]), (second, MISALIGNED, [0.11, 0.005, -0.01]))
+    wall, _, seen = replenished_once(render_wall, rig)
+    T_second_first = inverse_pose(rig.cameras[1].T_imu_cam) @ rig.cameras[0].T_imu_cam
+    points = WALL_M * np.column_stack([seen.xy, np.ones(len(seen))])
+    pixels = second.project(points @ T_second_first[:3, :3].T + T_second_first[:3, 3])
+    visible = np.all((pixels > 10) & (pixels < [second.width - 11, second.height - 11]), axis=1)
+    assert visible.sum() > 20
+    assert len(seen.matches) > share * visible.sum()
+    errors = wall.match_errors_px(seen)
+    assert np.median(errors) < error_px and np.mean(errors < 1.0) > 0.95
+
+
+def test_cameras_exposed_one_after_another_are_matched(render_wall: RenderWall) -> None:
+    """The rig turns and moves before the second camera is exposed; the features are moved to that time."""
+    T = pose_matrix(exp_so3(np.radians([1.5, 0.2, 0.8])), np.array([0.004, 0.02, 0.003]))
+    T_main_imu = inverse_pose(STEREO.cameras[0].T_imu_cam)
+    first = render_wall(LEFT, np.eye(4))
+    second = render_wall(RIGHT, T @ T_main_imu @ STEREO.cameras[1].T_imu_cam)
+
+    def at_exposure_of(camera: int, seen: Observations) -> Array:
+        assert camera == 1
+        points = WALL_M * np.column_stack([seen.xy, np.ones(len(seen))])
+        p = (points - T[:3, 3]) @ T[:3, :3]
+        return np.asarray(p[:, :2] / p[:, 2:])
+
+    tracker = RigTracker(STEREO, CONFIG)
+    tracker.track(CameraFrame(0, (first, second)), np.eye(3))
+    unaware = tracker.replenish()
+    seen = tracker.replenish(None, at_exposure_of)
+    assert len(unaware.matches) == 0  # the calibration seems to be wrong
+    assert len(seen.matches) > 0.7 * len(seen)
+    rays = np.column_stack([seen.xy, np.ones(len(seen))])[np.searchsorted(seen.ids, seen.matches.ids)]
+    T_second = inverse_pose(T @ T_main_imu @ STEREO.cameras[1].T_imu_cam)
+    expected = RIGHT.project(WALL_M * rays @ T_second[:3, :3].T + T_second[:3, 3])
+    found = RIGHT.project(np.column_stack([seen.matches.xy, np.ones(len(seen.matches))]))
+    assert np.median(np.linalg.norm(found - expected, axis=1)) < 0.15
+
+
 def test_matches_belong_to_observed_features(render_wall: RenderWall) -> None:
     _, _, seen = replenished_once(render_wall, STEREO)
     assert np.isin(seen.matches.ids, seen.ids).all() and np.all(np.diff(seen.matches.ids) > 0)

@@ -236,11 +236,53 @@ def test_matches_of_other_cameras_are_compensated() -> None:
     np.testing.assert_array_equal(compensated.miscalibrated.xy, compensated.matches.xy)
 
 
+@pytest.mark.parametrize(("offset_s", "delay_s"), [(0.004, 0.0), (0.0, -0.007), (0.004, -0.012)])
+def test_cameras_exposed_one_after_another_are_compensated(offset_s: float, delay_s: float) -> None:
+    """The second camera has a time offset of its own, and its images other time stamps than their frames."""
+    second = RigCamera(PINHOLE, EUROC_T_IMU_CAM1, time_offset_s=offset_s)
+    path = Path(RATE, ANGULAR_ACCELERATION, R_IMU_CAM @ np.array([0.8, 0.4, 0.2]), O)
+    points, times, later_s = landmarks(), ExposureCompensation(), offset_s + delay_s
+    calibration = Calibration(Rig((GLOBAL, second)))
+    for t_s in (-FRAME_S, 0.0):
+        before, after = path.increments(t_s - FRAME_S, t_s), path.increments(t_s, t_s + 0.03)
+        times.begin_frame(before, after, O, np.array([0.0, delay_s]))
+        pixels = projected(path, second, points, np.full(len(points), t_s + later_s))
+        matches = Matches(np.arange(len(points)), np.ones(len(points), np.int64), PINHOLE.normalize(pixels))
+        seen = observations(projected(path, GLOBAL, points, np.full(len(points), t_s)), matches=matches)
+        compensated = times.at_frame_time(seen, calibration)
+        if t_s < 0.0:  # without a flow, the features of the first camera are exact, and their matches unknown
+            assert len(compensated) == len(points) and not len(compensated.matches)
+    np.testing.assert_array_equal(compensated.xy, seen.xy)
+    expected = projected(path, second, points, np.zeros(len(points)))
+    found = PINHOLE.project(np.column_stack([compensated.matches.xy, np.ones(len(points))]))
+    assert np.median(np.linalg.norm(pixels - expected, axis=1)) > 2.0
+    assert np.linalg.norm(found - expected, axis=1).max() < 0.4
+    then = times.at_exposure_of(1, seen, calibration)
+    first = projected(path, GLOBAL, points, np.full(len(points), later_s))
+    moved = PINHOLE.project(np.column_stack([then, np.ones(len(points))]))
+    assert np.linalg.norm(moved - first, axis=1).max() < 0.4
+    assert times.at_exposure_of(0, seen, calibration) is seen.xy
+
+
+def test_new_features_are_moved_to_another_exposure_by_the_rotation() -> None:
+    path, points, times = Path(RATE, ANGULAR_ACCELERATION, O, O), landmarks(), ExposureCompensation()
+    calibration = Calibration(Rig((GLOBAL, replace(GLOBAL, time_offset_s=0.01))))
+    begin(times, path, 0.0)
+    then = times.at_exposure_of(1, observations(projected(path, GLOBAL, points, np.zeros(150))), calibration)
+    expected = projected(path, GLOBAL, points, np.full(len(points), 0.01))
+    moved = PINHOLE.project(np.column_stack([then, np.ones(len(points))]))
+    assert np.linalg.norm(moved - expected, axis=1).max() < 0.3
+
+
 def test_lookahead_covers_readout_and_time_offset() -> None:
     given = Calibration(Rig((ROLLING, GLOBAL)))
     assert ExposureCompensation.lookahead_s(given) == pytest.approx(0.015)
     corrected = replace(given, time_offset_correction_s=0.004)
     assert ExposureCompensation.lookahead_s(corrected) == pytest.approx(0.019)
+    late = Calibration(Rig((GLOBAL, replace(GLOBAL, time_offset_s=0.005))))
+    assert ExposureCompensation.lookahead_s(late) == pytest.approx(0.005)
+    assert ExposureCompensation.lookahead_s(late, np.array([0.0, 0.007])) == pytest.approx(0.012)
+    assert ExposureCompensation.lookahead_s(late, np.array([0.0, -0.03])) == 0.0
 
 
 def test_corrected_extrinsics_are_used_at_once() -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -153,3 +154,26 @@ def test_contradictions_are_refused(changes: dict[str, Any], message: str) -> No
     )
     with pytest.raises(ConfigError, match=message):
         replace(images, **changes)
+
+
+@pytest.mark.parametrize("is_stamped", [True, False], ids=["time stamps", "time offset"])
+def test_cameras_that_are_exposed_one_after_another_have_frames_of_their_own(
+    is_stamped: bool, noise_recording: Callable[..., Any]
+) -> None:
+    recording = noise_recording("euroc-stereo", frames=3)
+    times, later_ns = recording.frame_times_ns, 2_160_000
+    if is_stamped:
+        delays = np.tile([0, later_ns], (3, 1))
+        recording = SimpleNamespace(
+            rig=recording.rig, imu=recording.imu, frame_times_ns=times, frame=recording.frame, image_delays_ns=delays
+        )
+    else:
+        first, second = recording.rig.cameras
+        rig = replace(recording.rig, cameras=(first, replace(second, time_offset_s=later_ns * 1e-9)))
+        recording = replace(recording, rig=rig)
+    images = image_recording(recording, cameras=(0, 1))
+    np.testing.assert_array_equal(images.t_ns, np.ravel(np.column_stack([times, times + later_ns])))
+    np.testing.assert_array_equal(images.frame, [0, 4, 1, 6, 2, 8])
+    second_alone = image_recording(recording, cameras=(1,))
+    np.testing.assert_array_equal(second_alone.t_ns, times + later_ns)
+    np.testing.assert_array_equal(second_alone.frame, [0, 1, 2])
