@@ -198,6 +198,7 @@ class VisualInertialOdometry:
         self._gauge = self._gauge.propagated(packet.increments)
         if self._limits is not None:
             self._limits = self._limits.after(packet.increments, self._config.gravity_m_s2)
+        self._offset_search.add(packet)
         match self._state:
             case Initializing():
                 estimate = self._initialize(self._state, packet)
@@ -205,10 +206,9 @@ class VisualInertialOdometry:
                 estimate = self._track(self._state, packet)
         if packet.has_image:
             self._connection.end_frame(packet.observations)
-        self._offset_search.add(packet)
-        if self._is_doubtful:
-            offset = self._offset_search.offset(self._calibration.Ts_imu_cam)
-            estimate = estimate if offset is None else self._adopted(offset, packet, frame.t_ns, estimate)
+        offset = self._offset_search.offset(self._calibration.Ts_imu_cam) if self._is_doubtful else None
+        if offset is not None:
+            estimate = self._adopted(offset, packet, estimate)
         if self._pipeline.repeats_image:
             since_ns, self._repeated_ns = self._repeated_ns, frame.t_ns
             if since_ns is None or (frame.t_ns - since_ns) * 1e-9 > SAME_REPETITION_S:
@@ -238,7 +238,7 @@ class VisualInertialOdometry:
             case Tracking():
                 return not self._state.monitor.is_trusted
 
-    def _adopted(self, found: RotationOffset, packet: FramePacket, stamp_ns: int, estimate: Estimate) -> Estimate:
+    def _adopted(self, found: RotationOffset, packet: FramePacket, estimate: Estimate) -> Estimate:
         """Begin anew with another time offset of camera and IMU, and return the estimate of the frame with an event."""
         before_ms, sigma_ms = 1e3 * self.time_offset_s, 1e3 * found.sigma_s
         offset_s = self.time_offset_s + found.offset_s
@@ -250,7 +250,7 @@ class VisualInertialOdometry:
         self._online_calibration = OnlineCalibration(rig, c.calibration, c.gravity_m_s2)
         self._noise.set_gravity(c.gravity_m_s2)
         self._imu_rate.set_gravity(c.gravity_m_s2)
-        self._queue.shift(offset_s - self._rig.time_offset_s, stamp_ns)
+        self._queue.shift(offset_s - self._rig.time_offset_s)
         self._offset_search, self._restart = OffsetSearch(), None
         self._publisher.withdraw_causes()
         self._state = Initializing(self._initializer(is_trusted=False), is_trusted=True)
@@ -264,6 +264,10 @@ class VisualInertialOdometry:
         smoother = initializer.add(packet, stationary_s, self._calibration, self._gauge, self._noise)
         if isinstance(smoother, NotObservable):
             return self._publisher.not_initialized(packet, smoother)
+        offset = None if stationary_s else self._offset_search.offset_at_start(self._calibration.Ts_imu_cam)
+        if offset is not None:
+            estimate = self._publisher.without_state(packet, WRONG_TIME_OFFSET)
+            return self._adopted(offset, packet, estimate)
         self._origin_m = smoother.state.T_world_imu[:3, 3]
         c, is_trusted = self._config, state.is_trusted and not self._publisher.has_stated_cause
         pixel_sigma = c.smoother.image_sigma_px(len(self._calibration.rig.cameras))
@@ -353,7 +357,7 @@ class VisualInertialOdometry:
         self._report_keyframe(smoother, packet, result, is_connected)
         before, was_plausible = self._with_unverified_calibration(smoother.state), self._online_calibration.is_plausible
         if self._calibrate(tracking, packet, result, stationary):
-            smoother = self._recalibrated(smoother)
+            smoother, self._offset_search = self._recalibrated(smoother), OffsetSearch()
             tracking.monitor.correct(before, smoother.state)
             gravity_m_s2 = self._config.gravity_m_s2 + self._calibration.gravity_correction_m_s2
             self._noise.set_gravity(gravity_m_s2)

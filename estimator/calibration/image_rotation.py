@@ -3,12 +3,14 @@
 The normals of the epipolar planes of two views, f₁ × R f₂ of the bearings f, are perpendicular to the translation
 between them if the rotation R is right (Kneip and Lynen, "Direct optimization of frame-to-frame rotation", ICCV 2013).
 R and the direction of the translation are refined by Gauss-Newton from the rotation that aligns the bearings best.
-Features that disagree, such as those on moving objects, have nearly no weight.
+Features that disagree, such as those on moving objects, are left out by RANSAC, or have little weight.
 """
 
+from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -22,8 +24,11 @@ from dronevio.models.state import CameraFrame
 
 Array = npt.NDArray[np.float64]
 
-MIN_SPAN_S = 0.04
-"""Shortest time between the frames of a pair [s]: over shorter ones, the noise of the image exceeds slow rotations."""
+STEP_S = 0.04
+"""Shortest time between successive frames of pairs [s]; more pairs would cost time and tell little."""
+SPAN_S = 0.095
+"""Shortest time between the frames of a pair [s]: over shorter ones, the parallax is too small to tell a rotation from
+a translation."""
 MAX_SPAN_S = 0.4
 """Longest time between the frames of a pair [s]; offsets that are shorter cannot be told over longer ones."""
 MIN_FEATURES = 15
@@ -34,6 +39,12 @@ UNKNOWN_SIGMA_RAD = 0.1
 """Standard deviation of the rotation between frames where no gyroscope predicts it [rad]."""
 ITERATIONS = 12
 """Number of Gauss-Newton steps."""
+OUTLIER_RAD = 0.002
+"""Distance of a feature from its epipolar line beyond which it is left out [rad]; a pixel of EuRoC's cameras."""
+MIN_SINE = 0.05
+"""Least sine of the angle between a bearing and the translation; features nearer to the epipole tell little."""
+MAX_TURN = 0.5
+"""Largest change of the direction of translation in one step."""
 MAX_STEP_RAD = 0.05
 """Largest rotation of one step [rad]."""
 _MIN_SCALE_RAD = 1e-4  # least scale of the residuals: a twentieth of a pixel of EuRoC's cameras
@@ -78,32 +89,40 @@ NO_ROTATIONS = RelativeRotations(np.zeros(0, np.int64), np.zeros(0, np.int64), n
 """The rotations of no pairs."""
 
 
-def image_rotations(t_ns: Sequence[int], observations: Sequence[Observations], Ts_imu_cam: Array) -> RelativeRotations:
-    """Return the rotations between successive frames by the features that both observe.
+def image_rotations(
+    t_ns: Sequence[int], observations: Sequence[Observations], Ts_imu_cam: Array, after_ns: int | None = None
+) -> RelativeRotations:
+    """Return the rotations between frames that are `SPAN_S` or a little more apart, by the features that both observe.
 
-    Frames that follow each other within less than `MIN_SPAN_S` are left out. Each camera that tracks features makes
-    pairs of its own.
+    Frames that follow each other within less than `STEP_S` are left out. Each camera that tracks features makes pairs
+    of its own.
 
     Args:
         t_ns: Times of M frames [ns], increasing.
         observations: Their M sets of features, with normalized coordinates.
         Ts_imu_cam: (C, 4, 4) Poses of the cameras in the IMU frame.
+        after_ns: Only pairs whose second frame is later are computed; all by default [ns].
     """
     pairs: list[tuple[int, int, Array, float]] = []
     for camera in range(len(Ts_imu_cam)):
         R_imu_cam = Ts_imu_cam[camera, :3, :3]
-        last: tuple[int, Integers, Array] | None = None
+        before: deque[tuple[int, Integers, Array]] = deque()
         for now_ns, seen in zip(t_ns, observations, strict=True):
             mine = seen.camera == camera
-            if not mine.any() or (last is not None and now_ns - last[0] < MIN_SPAN_S * 1e9):
+            if not mine.any() or (before and now_ns - before[-1][0] < STEP_S * 1e9):
                 continue
-            ids, xy = seen.ids[mine], seen.xy[mine]
-            if last is not None and now_ns - last[0] <= MAX_SPAN_S * 1e9:
-                first, second = common_rows(last[1], ids)
-                if len(first) >= MIN_FEATURES:
-                    R, sigma_rad = relative_rotation(last[2][first], xy[second])
-                    pairs.append((last[0], now_ns, R_imu_cam @ R, sigma_rad))
-            last = now_ns, ids, xy
+            before.append((now_ns, seen.ids[mine], seen.xy[mine]))
+            while len(before) > 1 and now_ns - before[1][0] >= SPAN_S * 1e9:
+                before.popleft()
+            then_ns, ids, xy = before[0]
+            if not SPAN_S * 1e9 <= now_ns - then_ns <= MAX_SPAN_S * 1e9 or (
+                after_ns is not None and now_ns <= after_ns
+            ):
+                continue
+            first, second = common_rows(ids, before[-1][1])
+            if len(first) >= MIN_FEATURES:
+                R, sigma_rad = relative_rotation(xy[first], before[-1][2][second])
+                pairs.append((then_ns, now_ns, R_imu_cam @ R, sigma_rad))
     if not pairs:
         return NO_ROTATIONS
     start_ns, end_ns, rotations, sigmas = zip(*pairs, strict=True)
@@ -136,39 +155,59 @@ def relative_rotation(xy_first: Array, xy_second: Array) -> tuple[Array, float]:
         xy_first: (N, 2) Normalized coordinates of features in the first view, at least five.
         xy_second: (N, 2) Those in the second.
     """
-    first, second = _bearings(xy_first), _bearings(xy_second)
-    R = _aligning(first, second)
-    weights, t, H, scale = np.ones(len(first)), np.zeros(3), np.eye(5), 1.0
+    E, mask = cv2.findEssentialMat(xy_first, xy_second, np.eye(3), cv2.RANSAC, prob=0.999, threshold=OUTLIER_RAD)
+    agree = np.ones(len(xy_first), dtype=np.bool_)
+    if mask is not None and mask.sum() >= MIN_FEATURES:
+        agree = mask[:, 0] == 1
+    first, second = _bearings(xy_first[agree]), _bearings(xy_second[agree])
+    R, weights = _aligning(first, second)
+    starts = [R]
+    if E is not None and E.shape == (3, 3):  # of the two rotations of the matrix, one is turned by half a turn
+        turned: list[Array] = [np.asarray(turn.T, np.float64) for turn in cv2.decomposeEssentialMat(E)[:2]]
+        starts.append(max(turned, key=lambda turn: float(np.trace(turn @ R.T))))
+    solutions = [_refined(first, second, start, weights) for start in starts]
+    R, H, scale = min(solutions, key=lambda solution: solution[2])
+    covariance = scale**2 * np.linalg.inv(H)[:3, :3]
+    return np.asarray(log_so3(R)), float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+
+
+def _refined(first: Array, second: Array, R: Array, weights: Array) -> tuple[Array, Array, float]:
+    """Return the rotation (3, 3) of bearings (N, 3), the Hessian (5, 5) of it and of the translation, and the scale."""
+    normals = np.cross(first, second @ R.T)
+    t = np.linalg.eigh((weights[:, None] * normals).T @ normals)[1][:, 0]
+    H, scale = np.eye(5), np.inf
     for _ in range(ITERATIONS):
         turned = second @ R.T
-        normals = np.cross(first, turned)
-        _, axes = np.linalg.eigh((weights[:, None] * normals).T @ normals)
-        t, tangents = axes[:, 0], axes[:, 1:]
+        across, across_too = np.cross(t, first), np.cross(t, turned)
+        length = np.sqrt(0.5 * ((across**2).sum(axis=1) + (across_too**2).sum(axis=1)) + MIN_SINE**2)
+        normals = np.cross(first, turned) / length[:, None]
         residual = normals @ t
+        tangents = np.linalg.svd(t[None])[2][1:].T
         # By a rotation of the second view, n = f × Exp(δ) R g: ∂(t·n)/∂δ = −(t × f) × R g
-        by_rotation = -np.cross(np.cross(t, first), turned)
+        by_rotation = -np.cross(across, turned) / length[:, None]
         J = np.column_stack([by_rotation, normals @ tangents])
         scale = max(1.4826 * float(np.median(np.abs(residual))), _MIN_SCALE_RAD)
         weights = 1.0 / (1.0 + (residual / (2.0 * scale)) ** 2) ** 2
         H = (weights[:, None] * J).T @ J + 1e-9 * np.eye(5)
         step = -np.linalg.solve(H, J.T @ (weights * residual))
-        length = float(np.linalg.norm(step[:3]))
-        R = exp_so3(step[:3] * min(1.0, MAX_STEP_RAD / max(length, 1e-12))) @ R
-        if length < 1e-6:
+        angle = float(np.linalg.norm(step[:3]))
+        R = exp_so3(step[:3] * min(1.0, MAX_STEP_RAD / max(angle, 1e-12))) @ R
+        t = t + tangents @ np.clip(step[3:], -MAX_TURN, MAX_TURN)
+        t = t / np.linalg.norm(t)
+        if angle < 1e-6:
             break
-    covariance = scale**2 * np.linalg.inv(H)[:3, :3]
-    return np.asarray(log_so3(R)), float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+    return R, H, scale
 
 
-def _aligning(first: Array, second: Array) -> Array:
-    """Return the rotation (3, 3) that aligns bearings (N, 3) with others best; those that differ have little weight."""
+def _aligning(first: Array, second: Array) -> tuple[Array, Array]:
+    """Return the rotation (3, 3) that aligns bearings (N, 3) with others best, and weights (N,) of those that agree."""
     R, weights = np.eye(3), np.ones(len(first))
     for _ in range(3):
         U, _, Vt = np.linalg.svd((weights[:, None] * first).T @ second)
         R = U @ np.diag([1.0, 1.0, float(np.linalg.det(U @ Vt))]) @ Vt
         error = np.linalg.norm(first - second @ R.T, axis=1)
         weights = 1.0 / (1.0 + (error / max(2.0 * float(np.median(error)), _MIN_SCALE_RAD)) ** 2)
-    return R
+    return R, weights
 
 
 def _bearings(xy: Array) -> Array:

@@ -1,9 +1,9 @@
 """Search for the time offset of camera and IMU while the estimate is in doubt.
 
 The online calibration (`dronevio.estimator.calibration.online`) finds an offset of some milliseconds, which hardly
-disturbs an estimate. With tens of milliseconds, there is no such estimate: an initialization fails, or images and prediction
-contradict each other soon. The rotation of the last frames is then compared with the gyroscope at all offsets
-(`rotation_offset`), which needs no estimate.
+disturbs an estimate. With tens of milliseconds, there is no such estimate: an initialization fails, or images and
+prediction contradict each other soon. The rotation of the last frames is then compared with the gyroscope at all
+offsets (`rotation_offset`), which needs no estimate.
 """
 
 import numpy as np
@@ -24,6 +24,10 @@ WINDOW_S = 2.0
 windows had a significant offset; of those that do, 9 out of 10."""
 INTERVAL_S = 0.25
 """Time between searches [s]."""
+START_WINDOW_S = 1.4
+"""The same before a start [s]: the shortest window of a start with one camera, less the offsets that are tried."""
+MIN_RANGE_S = 0.03
+"""Smallest range of offsets that is searched [s]."""
 MIN_OFFSET_S = 0.008
 """Smallest offset that is adopted [s]; the online calibration finds smaller ones."""
 
@@ -50,23 +54,42 @@ class OffsetSearch:
         Args:
             Ts_imu_cam: (C, 4, 4) Poses of the cameras in the IMU frame.
         """
-        first_ns, now_ns = self._packets[0].t_ns, self._packets[-1].t_ns
-        if (now_ns - first_ns) * 1e-9 < WINDOW_S + 2.0 * MAX_OFFSET_S:
+        range_s = self._range_s(WINDOW_S)
+        if range_s < MAX_OFFSET_S:
             return None
+        now_ns = self._packets[-1].t_ns
         if self._searched_ns is not None and (now_ns - self._searched_ns) * 1e-9 < INTERVAL_S:
             return None
         self._searched_ns = now_ns
+        return self._found(Ts_imu_cam, range_s)
+
+    def offset_at_start(self, Ts_imu_cam: Array) -> RotationOffset | None:
+        """Return a significant offset by the frames of an initialization, as far as they reach.
+
+        Args:
+            Ts_imu_cam: (C, 4, 4) Poses of the cameras in the IMU frame.
+        """
+        range_s = self._range_s(START_WINDOW_S)
+        return None if range_s < MIN_RANGE_S else self._found(Ts_imu_cam, range_s)
+
+    def _range_s(self, window_s: float) -> float:
+        """Return the largest offset that the frames allow to search for, with some time of rotations left [s]."""
+        span_s = (self._packets[-1].t_ns - self._packets[0].t_ns) * 1e-9 if self._packets else 0.0
+        return min(MAX_OFFSET_S, 0.5 * (span_s - window_s))
+
+    def _found(self, Ts_imu_cam: Array, range_s: float) -> RotationOffset | None:
+        """Return the offset that is significant and large enough, if there is one."""
         imu = _samples(self._packets)
-        found = rotation_offset(self._image_rotations(Ts_imu_cam), imu, MAX_OFFSET_S) if len(imu) > 1 else None
+        found = rotation_offset(self._image_rotations(Ts_imu_cam), imu, range_s) if len(imu) > 1 else None
         if found is None or not found.is_significant or abs(found.offset_s) < MIN_OFFSET_S:
             return None
         return found
 
     def _image_rotations(self, Ts_imu_cam: Array) -> RelativeRotations:
         """Return the rotations between the frames; only those that are new are computed."""
-        known, since_ns = self._rotations, self._rotated_ns
-        new = [p for p in self._packets if since_ns is None or p.t_ns >= since_ns]
-        added = image_rotations([p.t_ns for p in new], [p.observations for p in new], Ts_imu_cam)
+        known, packets = self._rotations, self._packets
+        times_ns, features = [p.t_ns for p in packets], [p.observations for p in packets]
+        added = image_rotations(times_ns, features, Ts_imu_cam, self._rotated_ns)
         kept = known[known.start_ns >= self._packets[0].t_ns]
         self._rotations, self._rotated_ns = kept.joined(added), self._packets[-1].t_ns
         return self._rotations

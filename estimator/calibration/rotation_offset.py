@@ -27,8 +27,8 @@ MIN_PAIRS = 10
 MIN_EXPLAINED = 0.6
 """Smallest share of the images' rotation that the gyroscope explains at a significant offset. Of images that do not
 belong to the gyroscope, the best of all offsets explains 0.4 or less."""
-MAX_RUNNER_UP = 0.75
-"""Largest remainder at a significant offset, relative to the least remainder at an offset that is not near it."""
+MAX_AMBIGUITY = 0.75
+"""Largest ratio of the remainder at a significant offset to that at the best offset which is not near it."""
 MAX_SIGMA_S = 0.004
 """Largest standard deviation of a significant offset [s]."""
 ITERATIONS = 10
@@ -48,17 +48,19 @@ class RotationOffset:
     more than a constant rate does; negative where it is worse."""
     runner_up: float
     """The largest such share at an offset beyond the valley of this one, or at its rim."""
+    ambiguity: float
+    """Ratio of the remainder at the best offset to that at the runner-up, both on the grid of offsets: 1 if both are
+    equally good."""
     is_inside: bool
     """Whether the best offset is inside the range, not at an end of it."""
 
     @property
     def is_significant(self) -> bool:
         """Whether the gyroscope explains the rotation at this offset, and only there."""
-        remainder = 1.0 - self.explained
         return (
             self.is_inside
             and self.explained >= MIN_EXPLAINED
-            and remainder <= MAX_RUNNER_UP * (1.0 - self.runner_up)
+            and self.ambiguity <= MAX_AMBIGUITY
             and self.sigma_s <= MAX_SIGMA_S
         )
 
@@ -91,13 +93,14 @@ def rotation_offset(measured: RelativeRotations, imu: ImuSamples, max_offset_s: 
         return None
     best = int(costs.argmin())
     left, right = _valley(costs, best)
-    runner_up = 1.0 - float(np.r_[costs[: left + 1], costs[right:]].min()) / constant
+    runner_up = float(np.r_[costs[: left + 1], costs[right:]].min())
     inside = 0 < best < len(costs) - 1
     offset_s, sigma_s = _refined(pairs, gyro, float(offsets_s[best]))
     cost = float(_absolute_sum(pairs.rotation_rad - gyro.rotations(pairs, np.array([offset_s])), pairs)[0])
     if abs(offset_s - offsets_s[best]) > 2.0 * GRID_S:
         offset_s, cost, sigma_s = float(offsets_s[best]), float(costs[best]), np.inf
-    return RotationOffset(offset_s, sigma_s, 1.0 - min(cost, costs[best]) / constant, runner_up, inside)
+    explained, ambiguity = 1.0 - min(cost, float(costs[best])) / constant, float(costs[best]) / max(runner_up, 1e-12)
+    return RotationOffset(offset_s, sigma_s, explained, 1.0 - runner_up / constant, ambiguity, inside)
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,3 +47,23 @@ def test_missing_and_dark_images_are_no_copies(image: Image) -> None:
     for k in range(3):
         again = replace(frame, t_ns=k)
         assert images.filtered(again, TURNED, 0.0) is again and not images.repeats
+
+
+def test_rotations_add_up_while_an_image_is_shown() -> None:
+    """A slow rotation moves the image after some frames; from then on it is a copy, even if it turns back."""
+    images, frame = RepetitionFilter(), CameraFrame(0, (LEFT,))
+    slow = exp_so3(np.array([0.0, 0.4 * MIN_ROTATION_RAD, 0.0]))
+    repeats = []
+    for R in (REST, slow, slow, slow, slow.T, slow.T, REST):
+        images.filtered(frame, R, 0.0)
+        repeats.append(images.repeats)
+    assert repeats == [False, False, False, True, True, True, True]
+    images.filtered(CameraFrame(1, (RIGHT,)), REST, 0.0)
+    images.filtered(CameraFrame(2, (RIGHT,)), slow, 0.0)
+    assert not images.repeats  # rotations count from the new image on
+
+
+def test_copies_are_left_out_while_the_vehicle_moves_without_rotation() -> None:
+    images, frame = RepetitionFilter(), CameraFrame(0, (LEFT, RIGHT))
+    assert images.filtered(frame, REST, 0.0, moves=True) is frame
+    assert all(image is NO_IMAGE for image in images.filtered(frame, REST, 0.0, moves=True).images)

@@ -1,0 +1,144 @@
+"""The odometry and the clocks: a wrong time offset is found, and the origin of the clock makes no difference."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dronevio.estimator.frontend.protocol import FrontEnd
+from dronevio.estimator.types import Observations
+from dronevio.estimator.vio import TIME_OFFSET_FOUND, WRONG_TIME_OFFSET, VisualInertialOdometry
+from dronevio.eval.metrics.alignment import align
+from dronevio.models.imu import ImuSamples
+from dronevio.models.protocols import measurements
+from dronevio.models.rig import Rig
+from dronevio.models.state import CameraFrame, Estimate, Health, Trajectory
+
+if TYPE_CHECKING:
+    from tests.estimator.conftest import SyntheticFlight
+
+Array = npt.NDArray[np.float64]
+MakeFlight = Callable[..., "SyntheticFlight"]
+IN_MOTION = -5.0
+
+
+class Restamped:
+    """The front end of a flight whose frames have other time stamps than those of their exposures."""
+
+    def __init__(self, front_end: FrontEnd, exposed_ns: dict[int, int]) -> None:
+        """Take the true time of each stamp."""
+        self._front_end, self._exposed_ns = front_end, exposed_ns
+
+    def track(
+        self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
+    ) -> Observations:
+        """Observe the landmarks at the true time."""
+        true = replace(frame, t_ns=self._exposed_ns[frame.t_ns])
+        return self._front_end.track(true, R_cur_prev, rotation_sigma_rad, rig)
+
+    def replenish(self, rig: Rig | None = None) -> Observations:
+        """Observe further landmarks."""
+        return self._front_end.replenish(rig)
+
+    def discard(self, ids: npt.NDArray[np.int64]) -> None:
+        """Stop tracking features."""
+        self._front_end.discard(ids)
+
+
+def run(
+    flight: "SyntheticFlight", late_s: Callable[[Array], Array], origin_ns: int = 0
+) -> tuple[VisualInertialOdometry, list[Estimate]]:
+    """Return the odometry and its estimates where frames are stamped late, by a function of the time since the start.
+
+    Frames whose stamp is not later than the last one are left out. All stamps are relative to another origin.
+    """
+    exposed_ns = flight.frame_times_ns
+    stamps_ns = exposed_ns + np.rint(1e9 * late_s((exposed_ns - exposed_ns[0]) * 1e-9)).astype(np.int64)
+    later = np.concatenate([[True], stamps_ns[1:] > np.maximum.accumulate(stamps_ns)[:-1]])
+    stamps_ns, exposed_ns = stamps_ns[later] + origin_ns, exposed_ns[later]
+    changed = replace(flight)
+    changed.__dict__.update(imu=replace(flight.imu, t_ns=flight.imu.t_ns + origin_ns), frame_times_ns=stamps_ns)
+    front_end = Restamped(flight.front_end(), dict(zip(stamps_ns.tolist(), exposed_ns.tolist(), strict=True)))
+    vio, estimates = VisualInertialOdometry(flight.rig, front_end=front_end), []
+    for measurement in measurements(changed):
+        if isinstance(measurement, ImuSamples):
+            vio.add_imu(measurement)
+        else:
+            estimates.append(vio.add_frame(measurement))
+    assert [e.t_ns for e in estimates] == stamps_ns.tolist()
+    return vio, estimates
+
+
+def ate_m(flight: "SyntheticFlight", estimates: list[Estimate]) -> float:
+    """Return the error after alignment; the estimate of a frame is the state when the IMU's clock shows its stamp."""
+    estimated = Trajectory.from_states(e.state for e in estimates if e.state is not None)
+    p, truth = estimated.p_world_imu, flight.truth_at(estimated.t_ns).p_world_imu
+    return float(np.sqrt(((align(truth, p).positions(p) - truth) ** 2).sum(axis=1).mean()))
+
+
+def events_of(estimates: list[Estimate], text: str) -> list[str]:
+    """Return the events that contain a text."""
+    return [event for e in estimates for event in e.events if text in event]
+
+
+@pytest.mark.parametrize("late_s", [0.06, -0.06, pytest.param(0.2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("rest_s", [IN_MOTION, pytest.param(1.5, marks=pytest.mark.slow)])
+def test_a_time_offset_that_prevents_tracking_is_found(make_flight: MakeFlight, late_s: float, rest_s: float) -> None:
+    flight = make_flight(0, rest_s=rest_s, duration_s=10.0)
+    vio, estimates = run(flight, lambda t: np.full(len(t), late_s))
+    (event,) = events_of(estimates, TIME_OFFSET_FOUND)
+    assert "instead of +0.0 ms" in event
+    assert vio.time_offset_s == pytest.approx(-late_s, abs=0.003)
+    assert all(e.health is Health.TRACKING for e in estimates[-40:])
+    begun = next(k for k, e in enumerate(estimates) if TIME_OFFSET_FOUND in "".join(e.events))
+    assert ate_m(flight, estimates[begun:]) < 0.05
+
+
+def test_the_right_offset_is_kept(make_flight: MakeFlight) -> None:
+    flight = make_flight(0, rest_s=IN_MOTION, duration_s=5.0)
+    vio, estimates = run(flight, lambda t: np.zeros(len(t)))
+    assert not events_of(estimates, TIME_OFFSET_FOUND) and abs(vio.time_offset_s) < 0.002
+    assert [e.t_ns for e in estimates] == flight.frame_times_ns.tolist()
+
+
+@pytest.mark.parametrize("step_s", [0.1, -0.1])
+def test_a_step_of_one_clock_is_named_and_the_offset_found_again(make_flight: MakeFlight, step_s: float) -> None:
+    flight = make_flight(1, rest_s=IN_MOTION, duration_s=12.0)
+    vio, estimates = run(flight, lambda t: np.where(t > 4.0, step_s, 0.0))
+    assert events_of(estimates, TIME_OFFSET_FOUND)
+    assert not events_of(estimates, WRONG_TIME_OFFSET) or events_of(estimates, "recovered")
+    assert vio.time_offset_s == pytest.approx(-step_s, abs=0.003)
+    assert all(e.health is Health.TRACKING for e in estimates[-20:])
+
+
+@pytest.mark.parametrize("rest_s", [1.5, IN_MOTION])
+def test_the_origin_of_the_clock_makes_no_difference(make_flight: MakeFlight, rest_s: float) -> None:
+    """A run whose stamps begin at −10 s, at 0 or at 2^61 ns is the same, shifted."""
+    flight = make_flight(0, rest_s=rest_s, duration_s=4.0)
+    _, expected = run(flight, lambda t: np.zeros(len(t)))
+    assert expected[-1].state is not None
+    for begin_ns in (-10_000_000_000, 0, 2**61):
+        origin_ns = begin_ns - int(flight.frame_times_ns[0])
+        _, estimates = run(flight, lambda t: np.zeros(len(t)), origin_ns)
+        for found, known in zip(estimates, expected, strict=True):
+            assert (found.t_ns, found.health, found.events) == (known.t_ns + origin_ns, known.health, known.events)
+            assert (found.state is None) == (known.state is None)
+            if found.state is not None and known.state is not None:
+                np.testing.assert_array_equal(found.state.T_world_imu, known.state.T_world_imu)
+
+
+@pytest.mark.parametrize("every", [2, 3])
+def test_frames_without_image_between_others_change_neither_start_nor_health(
+    make_flight: MakeFlight, every: int
+) -> None:
+    """As where each image comes several times and the copies are left out."""
+    flight = make_flight(0, rest_s=IN_MOTION, duration_s=8.0)
+    count = len(flight.frame_times_ns)
+    estimates = replace(flight, missing=frozenset(k for k in range(count) if k % every)).run()
+    first = next(k for k, e in enumerate(estimates) if e.state is not None)
+    assert first * 0.05 < 2.6
+    assert all(e.health is Health.TRACKING for e in estimates[first:])
+    assert ate_m(flight, estimates) < 0.05
