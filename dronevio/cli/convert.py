@@ -79,9 +79,7 @@ def main(arguments: Sequence[str]) -> int:
     require_free(command.dest, command.output.overwrite)  # before the source is read
     recording = command.reading.open(command.source)
     if target != "tum" and not len(recording.imu):
-        raise InputError(
-            command.source, "a recording without an IMU", "one with an IMU, or its ground truth (--to tum)"
-        )
+        raise InputError(command.source, "no IMU", "a recording with an IMU, or its truth alone (--to tum)")
     with progress_bars(quiet=command.output.json) as bars, writing(command.dest):
         _convert(recording, target, command, bars)
     truth = recording.ground_truth

@@ -1,9 +1,9 @@
 """The rotation of an unknown IMU in the frame of a camera, by the rotation of the images against the gyroscope.
 
-The rotations between frames that the images show, in the frame of the camera, are those of the gyroscope in that of the
-IMU, turned by the rotation between both. It is the solution of Wahba's problem at the time offset and the gyroscope bias
-that suit best (Markley, "Attitude determination using vector observations and the singular value decomposition", J.
-Astronautical Sciences 1988). It is determined if the rotation of the images is about two axes or more.
+The rotations between frames that the images show, in the frame of the camera, are those of the gyroscope in that of
+the IMU, turned by the rotation between both. It is the solution of Wahba's problem at the time offset and the gyroscope
+bias that suit best (Markley, "Attitude determination using vector observations and the singular value decomposition",
+J. Astronautical Sciences 1988). It is determined if the rotation of the images is about two axes or more.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ _NOISE_RAD = 2e-4  # least noise of a rotation by the images, some tenths of a p
 
 @dataclass(frozen=True, eq=False)
 class ImuRotation:
-    """The rotation of an IMU in the frame of a camera, and what tells whether it can be believed."""
+    """The rotation of an IMU in the frame of a camera, and what shows whether it is known."""
 
     R_imu_cam: Array
     """(3, 3) Rotation from the frame of the camera into that of the IMU."""

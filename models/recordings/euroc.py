@@ -1,9 +1,9 @@
 """Recordings as EuRoC folders (ASL format): images, IMU samples, calibration and ground truth.
 
 The body frame is that of the IMU, IMU samples are values at their time stamps unless stated otherwise, cameras are
-pinholes with radial-tangential distortion or equidistant fisheyes. Format: Burri et al., "The EuRoC micro aerial
-vehicle datasets", IJRR 2016. Folders of TUM-VI have the same tables without ``sensor.yaml``, and their ground truth in
-``mocap0`` (Schubert et al., "The TUM VI benchmark for evaluating visual-inertial odometry", IROS 2018).
+with any lens of this package. Format: Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016. Folders of
+TUM-VI have the same tables without ``sensor.yaml``, and their ground truth in ``mocap0`` (Schubert et al., "The TUM VI
+benchmark for evaluating visual-inertial odometry", IROS 2018).
 """
 
 from collections.abc import Sequence

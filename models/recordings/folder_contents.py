@@ -23,7 +23,7 @@ class FolderContents:
     name: str
     """Name of the recording."""
     folder: Path
-    """The folder."""
+    """Path of the folder."""
     lists: tuple[ImageList, ...]
     """Images of each camera."""
     imu: TimedTable

@@ -55,11 +55,11 @@ class VideoRecording:
     frame_times_ns: Times
     """(M,) Time stamps of the frames [ns]."""
     frames: VideoFrames = field(repr=False)
-    """The images."""
+    """Images of the video, by their index."""
     ground_truth: Trajectory | None = None
     """None: a video has no ground truth."""
     frame_truth: FrameTruth | None = None
-    """None, as well."""
+    """None: a video has none of the frames either."""
     complete: bool = True
     """Whether the recording is complete."""
     repair: bool = False

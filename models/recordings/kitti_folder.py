@@ -78,10 +78,10 @@ def read_kitti_contents(
     check_camera_count(cameras)
     is_drive = not (folder / "times.txt").is_file()
     name = "image_{:02d}" if is_drive else "image_{}"
-    numbers = next((pair for pair in _PAIRS if (folder / name.format(pair[0])).is_dir()), None)
-    if numbers is None:
+    pair = next((pair for pair in _PAIRS if (folder / name.format(pair[0])).is_dir()), None)
+    if pair is None:
         raise InputError(folder, f"no folder {name.format(0)} or {name.format(2)}", "images of KITTI")
-    numbers = tuple(number for number in numbers if (folder / name.format(number)).is_dir())[:cameras]
+    numbers = [number for number in pair if (folder / name.format(number)).is_dir()][:cameras]
     times_file = folder / name.format(numbers[0]) / "timestamps.txt" if is_drive else folder / "times.txt"
     t_ns = _read_stamps(times_file) if is_drive else read_times_ns(times_file)
     lists = tuple(_images(folder / name.format(number), times_file, t_ns, is_drive) for number in numbers)
@@ -246,7 +246,7 @@ def _rectified(size: Sequence[int], projection: Array) -> tuple[CameraModel, Arr
     """
     P = projection.reshape(3, 4)
     model = CameraModel(int(size[0]), int(size[1]), P[0, 0], P[1, 1], P[0, 2], P[1, 2])
-    return model, pose_matrix(np.eye(3), np.linalg.solve(P[:, :3], P[:, 3]))
+    return model, pose_matrix(np.eye(3), np.asarray(np.linalg.solve(P[:, :3], P[:, 3]), np.float64))
 
 
 def _sequence_truth(folder: Path) -> Trajectory | None:

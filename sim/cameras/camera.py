@@ -99,7 +99,7 @@ class OffscreenCamera:
         )
 
     def render_depth(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> Depth:
-        """Return the depth (H, W) [m]: z for ``radtan``, the length of the ray for ``equidistant``."""
+        """Return the depth (H, W) [m]: z for ``radtan``, the length of the ray for fisheyes."""
         return self.render_surfaces(T_world_cam, mover_poses).depth_m
 
     def render_flow(

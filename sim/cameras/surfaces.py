@@ -25,7 +25,7 @@ class Surfaces:
     """Depth and geom at the centre of each pixel of a camera, without blending at edges."""
 
     depth_m: Depth
-    """(H, W) Depth: z in the camera frame for ``radtan``, length of the ray for ``equidistant`` [m]; inf without a
+    """(H, W) Depth: z in the camera frame for ``radtan``, length of the ray for fisheyes [m]; inf without a
     surface, NaN outside the field of view."""
     geom: npt.NDArray[np.int32]
     """(H, W) Index of the geom in the model of the world; −1 without a surface."""

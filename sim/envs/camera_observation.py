@@ -117,7 +117,7 @@ class RenderedObservation:
 
     The world is loaded at the first call of `observe` and shared with the other environments of the process. The lens
     is that of the rig's camera. Images have no noise and no motion blur, and are exposed as the textures are painted.
-    Depth is the z coordinate in the camera frame for ``radtan`` lenses, and the length of the ray for ``equidistant``.
+    Depth is the z coordinate in the camera frame for ``radtan`` lenses, and the length of the ray for fisheyes.
     """
 
     def __init__(

@@ -3,7 +3,7 @@
 They belong to the middle of the exposure of the middle row of the first camera, with its lens model, but without motion
 blur and rolling shutter.
 
-- ``depth0``: 16-bit PNG in millimetres; z for ``radtan`` lenses, the length of the ray for ``equidistant`` ones; 0
+- ``depth0``: 16-bit PNG in millimetres; z for ``radtan`` lenses, the length of the ray for fisheyes; 0
   without a surface or beyond 65.5 m.
 - ``seg0``: 16-bit PNG with the number of the visible object instance; 0 without a surface. ``seg0/names.csv`` maps
   numbers to names: after the line ``#number,name`` it has one line for each instance of the world, visible or not, such

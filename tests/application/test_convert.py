@@ -18,6 +18,7 @@ from dronevio.models.recordings.bag.topics import IMAGE_TYPES
 from dronevio.models.recordings.calibration.exports import CONFIGURATIONS
 from dronevio.models.recordings.euroc import INCOMPLETE, write_euroc_recording
 from dronevio.models.recordings.exported import EPOCH_NS
+from dronevio.models.recordings.images import encode_png
 from dronevio.models.recordings.open import open_recording, read_rig, read_trajectory
 
 
@@ -181,8 +182,10 @@ def test_images_in_bags_are_compressed_by_default(
         assert topic in BagFile(tmp_path / name).topics_of_type(*IMAGE_TYPES)
 
 
-def test_bags_become_bags_of_ros_1(tmp_path: Path, flight: Path, run_command: Callable[..., Any]) -> None:
-    """The line of the help text works, with the program of the package rosbags."""
+def test_bags_become_bags_of_ros_1(
+    tmp_path: Path, flight: Path, run_command: Callable[..., Any], assert_same_recording: Callable[..., None]
+) -> None:
+    """The line of the help text works, with the program of the package rosbags, and back to the first format."""
     run_command(tmp_path, "convert", flight, tmp_path / "room", "--to", "bag")
     program = Path(sys.executable).with_name("rosbags-convert")
     arguments = [str(program), "--src", str(tmp_path / "room"), "--dst", str(tmp_path / "room.bag")]
@@ -195,6 +198,26 @@ def test_bags_become_bags_of_ros_1(tmp_path: Path, flight: Path, run_command: Ca
         _, _, raw = next(reader.messages([connection]))
         stamp = cast(Any, reader.deserialize(raw, connection.msgtype)).header.stamp
     assert stamp.sec * 10**9 + stamp.nanosec == open_recording(flight).imu.t_ns[0]
+    run_command(tmp_path, "convert", tmp_path / "room.bag", tmp_path / "again", "--to", "euroc")
+    assert_same_recording(open_recording(tmp_path / "again"), open_recording(flight))
+
+
+def test_recordings_without_an_imu_are_truth_alone(
+    tmp_path: Path, run_command: Callable[..., Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A sequence of the odometry benchmark of KITTI."""
+    folder = tmp_path / "dataset" / "sequences" / "07"
+    (folder / "image_0").mkdir(parents=True)
+    for k in range(3):
+        (folder / "image_0" / f"{k:06d}.png").write_bytes(encode_png(np.full((24, 32), k, np.uint8)))
+    (folder / "times.txt").write_text("0.0\n0.1\n0.2\n")
+    (folder / "calib.txt").write_text("P0: 70 0 16 0 0 70 12 0 0 0 1 0\n")
+    (tmp_path / "dataset" / "poses").mkdir()
+    (tmp_path / "dataset" / "poses" / "07.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 3)
+    run_command(tmp_path, "convert", folder, tmp_path / "truth.tum")
+    assert len(read_trajectory(tmp_path / "truth.tum")) == 3
+    assert main(["convert", str(folder), str(tmp_path / "out"), "--to", "euroc"]) == 2
+    assert "no IMU; expected a recording with an IMU" in capsys.readouterr().err
 
 
 LIMITED = """

@@ -98,7 +98,7 @@ def test_unrelated_images_are_bad_input(tmp_path: Path, capsys: pytest.CaptureFi
     assert {path.suffix for path in tmp_path.iterdir()} == {".png"}  # neither a result nor intermediate ones
 
 
-def test_formats_without_the_lens_are_refused_before_the_reconstruction(
+def test_formats_without_the_lens_are_refused_at_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def unexpected(*arguments: object, **settings: object) -> None:

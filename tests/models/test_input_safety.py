@@ -20,7 +20,7 @@ from dronevio.models.image_sets import open_images
 from dronevio.models.image_sets.photos import read_photo, read_photo_header
 from dronevio.models.image_sets.video import read_video_index
 from dronevio.models.reconstructions import read_reconstruction
-from dronevio.models.recordings.calibration.kalibr import read_calibration
+from dronevio.models.recordings.calibration.reading import read_calibration
 from dronevio.models.recordings.files import read_bytes, read_text
 from dronevio.models.recordings.image_header import MAX_DECODED_BYTES, ImageHeader, check_decoded_size, header_of
 from dronevio.models.recordings.images import decode_grey, read_grey

@@ -120,9 +120,7 @@ def test_unified_models_agree(xi: float, degrees: float) -> None:
 
 @settings(max_examples=200, deadline=None)
 @given(st.floats(-0.9, 0.9), st.floats(0.01, 0.99), st.floats(0.0, 180.0), st.floats(-3.0, 3.0))
-def test_double_sphere_has_the_domain_and_the_values_of_the_paper(
-    xi: float, alpha: float, degrees: float, azimuth: float
-) -> None:
+def test_double_sphere_agrees_with_the_paper(xi: float, alpha: float, degrees: float, azimuth: float) -> None:
     """Usenko et al., eqs. 40 to 45, one by one."""
     x, y, z = 2.5 * np.array([rays(degrees)[0] * np.cos(azimuth), rays(degrees)[0] * np.sin(azimuth), rays(degrees)[2]])
     d1 = np.sqrt(x**2 + y**2 + z**2)

@@ -40,7 +40,9 @@ def glowing_spheres(
     spec = mujoco.MjSpec()
     spec.add_material(name="glow", rgba=[1.0, 1.0, 1.0, 1.0], emission=1.0)
     for p in p_world:
-        radius = 2.7 / camera.fx * float(np.linalg.norm(p - T_world_cam[:3, 3]))  # 2.7 px at any distance
+        radius = (
+            2.7 / camera.central_focal_px[0] * float(np.linalg.norm(p - T_world_cam[:3, 3]))
+        )  # 2.7 px at any distance
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], pos=p, material="glow")
     spec.visual.quality.numslices = spec.visual.quality.numstacks = 32
     return p_world, spec.compile()
@@ -64,8 +66,16 @@ def detected_centroids(image: npt.NDArray[np.uint8], expected: Array) -> Array:
 
 @pytest.mark.parametrize(
     ("camera", "tolerance_px"),
-    [(PINHOLE, 0.1), (EUROC_CAM0, 0.25), (UZH_FPV_CAMERA, 0.25), (TUM_VI_CAMERA, 0.25)],
-    ids=["pinhole", "radtan", "fisheye", "fisheye wider than 180°"],
+    [
+        (PINHOLE, 0.1),
+        (EUROC_CAM0, 0.25),
+        (UZH_FPV_CAMERA, 0.25),
+        (TUM_VI_CAMERA, 0.25),
+        (CameraModel(512, 512, 158.286, 158.274, 254.96, 256.89, (-0.172, 0.593), "ds"), 0.25),
+        (CameraModel(640, 480, 700.0, 698.0, 318.0, 242.5, (1.6, -0.2, 0.1, 1e-3, -1e-3), "omni"), 0.25),
+        (CameraModel(640, 480, 300.0, 298.0, 318.0, 242.5, (0.93,), "fov"), 0.25),
+    ],
+    ids=["pinhole", "radtan", "fisheye", "fisheye wider than 180°", "ds", "omni", "fov"],
 )
 def test_rendered_points_agree_with_the_camera_model(camera: CameraModel, tolerance_px: float) -> None:
     p_world, model = glowing_spheres(camera, T_WORLD_CAM, np.random.default_rng(0))
