@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from dronevio.estimator.types import Calibration
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.camera import CameraModel
 from dronevio.models.lenses.lens import LENSES, LensName
@@ -44,3 +45,11 @@ def test_a_flight_with_every_lens(
     fit = align(truth.p_world_imu, found.p_world_imu, "yaw")
     errors = np.linalg.norm(truth.p_world_imu - fit.positions(found.p_world_imu), axis=1)
     assert np.sqrt(np.mean(errors**2)) < 0.008
+
+
+def test_a_pixel_of_the_estimator_is_one_near_the_axis(make_flight: Callable[..., "SyntheticFlight"]) -> None:
+    """Thresholds in pixels are those of the image, whatever the focal length of the formulas is."""
+    rig = make_flight().rig
+    model = CameraModel(752, 480, 650.0, 650.0, 371.0, 242.0, (1.6, 0.0, 0.0, 0.0, 0.0), "omni")
+    rig = replace(rig, cameras=(replace(rig.cameras[0], model=model),))
+    assert Calibration(rig).focal_px == pytest.approx([250.0])

@@ -96,8 +96,10 @@ def test_tracks_are_found_again(scene: "SyntheticScene", earlier: Reconstruction
     [
         ({"width": 320}, "640 × 480 px as in the earlier"),
         ({"fx": 510.0}, "the calibration has radtan fx 510.00"),
+        ({"distortion": (-0.1, 0.02, 0.0, 0.0, 0.01)}, "the calibration has radtan"),
+        ({"distortion": (0.9,), "lens": "fov"}, "the calibration has fov"),
     ],
-    ids=["size", "calibration"],
+    ids=["size", "calibration", "k3", "lens"],
 )
 def test_another_camera_is_refused(
     change: dict[str, Any],

@@ -139,6 +139,22 @@ def test_maps_are_read_back_to_the_bit(tmp_path: Path, seed: int, patches: int) 
     assert [each.name for each in tmp_path.iterdir()] == ["room.map"]  # nothing half-written
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"lens": "ds", "distortion": (-0.2, 0.6)},
+        {"lens": "fov", "distortion": (0.9,)},
+        {"distortion": (-0.28, 0.07, 2e-4, 2e-5, -0.01, 0.1, 0.2, 0.3)},
+    ],
+    ids=["ds", "fov", "rational"],
+)
+def test_lenses_are_read_back(tmp_path: Path, change: dict[str, Any]) -> None:
+    saved = small_map()
+    camera = replace(saved.cameras[0], model=replace(saved.cameras[0].model, **change))
+    saved = replace(saved, cameras=(camera, *saved.cameras[1:]))
+    assert_equal(read_map(written(tmp_path / "room.map", saved)), saved)
+
+
 def test_the_same_map_gives_the_same_bytes(tmp_path: Path) -> None:
     assert written(tmp_path / "a").read_bytes() == written(tmp_path / "b").read_bytes()
     with zipfile.ZipFile(tmp_path / "a") as archive:
