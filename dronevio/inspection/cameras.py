@@ -50,10 +50,20 @@ def camera_findings(measured: Measured) -> Iterator[Finding]:
         "images",
         float(len(recording.frame_times_ns)),
         Verdict.GOOD,
-        f"{len(recording.frame_times_ns)} frames of {count} camera{'s' if count > 1 else ''}, {', '.join(sorted(sizes))};"
-        f" {sample.frames} were looked at",
+        f"{len(recording.frame_times_ns)} frames of {count} camera{'s' if count > 1 else ''},"
+        f" {', '.join(sorted(sizes))}; {sample.frames} were looked at",
         "one camera or more",
     )
+    bits = max(getattr(recording, "image_bits", ()), default=8)
+    if bits > 8:
+        yield Finding(
+            Topic.CAMERAS,
+            "bit depth",
+            float(bits),
+            Verdict.GOOD,
+            f"{bits} bits in files of 16, of which the upper 8 are used",
+            "8 to 16 bits, with one scale for all images of a camera",
+        )
     yield from _stamps(measured)
     yield from _appearance(measured)
     yield _repeated(measured)
@@ -97,7 +107,7 @@ def _stamps(measured: Measured) -> Iterator[Finding]:
         "gaps",
         longest,
         verdict,
-        f"{missing} images are missing in {int(gaps.sum())} gaps, the longest of {longest:.2f} s at {at_s:.1f} s"
+        f"images missing: {missing}; gaps: {int(gaps.sum())}, the longest of {longest:.2f} s at {at_s:.1f} s"
         if missing
         else "none",
         f"no gap beyond {DOUBTFUL_GAP_S:g} s, after which a moving camera sees other features, and at most"

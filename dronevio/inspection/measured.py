@@ -145,7 +145,7 @@ def _lens(
         return None
     else:
         Q = recording.rig.cameras[0].T_imu_cam[:3, :3].T
-        measured = gyroscope.rates(pairs, recording.rig.time_offset_s)
+        measured = gyroscope.rates(pairs, calibrated_offset_s(recording))
         bias = np.nanmedian(measured - pairs.rate_rad_s @ Q, axis=0)
         rates = (measured - bias) @ Q.T
     return check_lens(flows, rates * duration_s, pixel_rad)
@@ -213,14 +213,15 @@ def _along(frame: CameraFrame, earlier: "deque[tuple[int, Image]]", recording: R
     image = frame.images[0]
     if not image.size:
         return
-    old = [entry for entry in earlier if frame.t_ns - entry[0] >= PAIR_S * 1e9]
+    now_ns = _exposure_ns(frame, 0)
+    old = [entry for entry in earlier if now_ns - entry[0] >= PAIR_S * 1e9]
     if old:
         t_ns, before = old[-1]
         if not np.array_equal(before, image):
-            yield flow_between(before, image, (t_ns, frame.t_ns), recording.rig.cameras[0].model)
+            yield flow_between(before, image, (t_ns, now_ns), recording.rig.cameras[0].model)
         while earlier and earlier[0][0] <= t_ns:
             earlier.popleft()
-    earlier.append((frame.t_ns, image))
+    earlier.append((now_ns, image))
 
 
 def _across(frame: CameraFrame, recording: Recording) -> Iterator[tuple[int, Flow]]:
@@ -236,6 +237,18 @@ def _equals(image: Image, last: Image) -> bool:
     if not image.size or image.shape != last.shape or not np.array_equal(image[:1], last[:1]):
         return False
     return bool(np.array_equal(image, last)) and int(image.max()) - int(image.min()) > 1
+
+
+def calibrated_offset_s(recording: Recording) -> float:
+    """Return the calibrated time offset of the first camera [s]."""
+    rig = recording.rig
+    return rig.time_offset_s + float(getattr(rig.cameras[0], "time_offset_s", 0.0))
+
+
+def _exposure_ns(frame: CameraFrame, camera: int) -> int:
+    """Return the time stamp of the image of a camera [ns]."""
+    delays: tuple[int, ...] = getattr(frame, "image_delays_ns", ())
+    return frame.t_ns + (delays[camera] if delays else 0)
 
 
 def angle_deg(R: Array) -> float:
