@@ -207,6 +207,7 @@ def row_of(name: str, expected: Sequence[str], found: Inspection) -> tuple[str, 
     raised = [finding for finding in found.findings if finding.verdict in (Verdict.DOUBTFUL, Verdict.WRONG)]
     # A bit depth is named, and is no defect, since the reader scales the images.
     naming = [f for f in found.findings if label(f) in expected and (f in raised or f.name == "bit depth")]
+    print(f"{name}: {'named' if naming else 'not named'}", file=sys.stderr, flush=True)
     rest = ", ".join(f"{label(f)} ({f.verdict})" for f in raised if f not in naming)
     said = f"{label(naming[0])} ({naming[0].verdict}): {naming[0].found}" if naming else "–"
     return name, "yes" if naming else "no", rest or "–", said

@@ -93,7 +93,7 @@ def spectrum_of(imu: ImuSamples) -> Spectrum | None:
         sections = sections - sections.mean(axis=2, keepdims=True)
         power = (np.abs(np.fft.rfft(sections * window, axis=2)) ** 2).mean(axis=0).sum(axis=0)
         density.append(2.0 * power / (rate_hz * float(window @ window)))
-    return Spectrum(np.fft.rfftfreq(n, 1.0 / rate_hz), density[0], density[1])
+    return Spectrum(np.asarray(np.fft.rfftfreq(n, 1.0 / rate_hz), np.float64), density[0], density[1])
 
 
 def resting(imu: ImuSamples, bias_rad_s: Array | None) -> list[tuple[int, int]]:

@@ -164,8 +164,9 @@ def _sampled(recording: Recording, progress: Progress) -> ImageSample:
     cameras = recording.rig.cameras
     runs = sampled_runs(recording.frame_times_ns) if cameras else []
     total, done = sum(map(len, runs)), 0
-    every = np.concatenate(runs) if runs else np.zeros(0, np.int64)
-    chosen = set(every[((np.arange(SHOWN) + 0.5) / SHOWN * len(every)).astype(int)].tolist()) if len(every) else set()
+    candidates = [index for run in runs for index in run[::STEREO_EVERY].tolist()]
+    shares = (np.arange(SHOWN) + 0.5) / SHOWN
+    chosen = {candidates[int(share * len(candidates))] for share in shares} if candidates else set()
     flows: list[Flow] = []
     shown: list[CameraFrame] = []
     defects: list[Defect] = []

@@ -133,7 +133,7 @@ def relate(first: Rotations, gyroscope: Gyroscope, search_s: float = SEARCH_S) -
         gyroscope: The gyroscope.
         search_s: Largest offset [s].
     """
-    first = first[np.isfinite(first.rate_rad_s).all(axis=1)]
+    first = first[np.asarray(np.isfinite(first.rate_rad_s).all(axis=1), np.bool_)]
     if len(first) < MIN_PAIRS:
         return None
     offsets = np.linspace(-search_s, search_s, 2 * round(search_s / COARSE_STEP_S) + 1)
@@ -153,7 +153,7 @@ def _relation(
 ) -> Relation:
     """Return the relation at the best offset."""
     second = gyroscope.rates(first, offset)
-    inside = np.isfinite(second).all(axis=1)
+    inside = np.asarray(np.isfinite(second).all(axis=1), np.bool_)
     a, b, w = first.rate_rad_s[inside], second[inside], weights[inside]
     mean_a, mean_b = w @ a / w.sum(), w @ b / w.sum()
     a, b = a - mean_a, b - mean_b
@@ -186,7 +186,7 @@ def _explained(a: Array, b: Array, weights: Array) -> Array:
 
     A share is NaN where b is NaN for half of the intervals or more.
     """
-    inside = np.isfinite(b).all(axis=2)
+    inside = np.asarray(np.isfinite(b).all(axis=2), np.bool_)
     w = weights * inside
     total = np.maximum(w.sum(axis=1), 1e-300)[:, None]
     b = np.where(inside[:, :, None], b, 0.0)
@@ -195,7 +195,7 @@ def _explained(a: Array, b: Array, weights: Array) -> Array:
     singular = np.linalg.svd(np.einsum("dp,dpi,dpj->dij", w, a, b), compute_uv=False)
     variances = np.einsum("dp,dpi->d", w, a * a) * np.einsum("dp,dpi->d", w, b * b)
     shares = singular.sum(axis=1) ** 2 / np.maximum(variances, 1e-300)
-    return np.where(inside.mean(axis=1) < 0.5, np.nan, shares)
+    return np.asarray(np.where(inside.mean(axis=1) < 0.5, np.nan, shares))
 
 
 def _procrustes(a: Array, b: Array, w: Array, sign: float | None) -> tuple[Array, float, float]:
@@ -211,7 +211,7 @@ def _procrustes(a: Array, b: Array, w: Array, sign: float | None) -> tuple[Array
 
 def _weights(a: Array, b: Array) -> Array:
     """Return weights (P,) of intervals by their residuals: Cauchy's, with a robust scale; 0 where b is NaN."""
-    inside = np.isfinite(b).all(axis=1)
+    inside = np.asarray(np.isfinite(b).all(axis=1), np.bool_)
     weights = inside.astype(np.float64)
     for _ in range(ITERATIONS):
         w = weights / weights.sum()

@@ -454,7 +454,9 @@ def test_defects_of_the_files_are_rows(flown: Any, tmp_path: Path, capsys: pytes
 def test_strict_fails_where_a_row_is_wrong(
     flown: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verdict: Verdict
 ) -> None:
-    found = Inspection("flight", {}, (finding(Verdict.GOOD), finding(verdict)), "<html>")
+    nothing: Any = None
+    found = Inspection("flight", {}, (finding(Verdict.GOOD), finding(verdict)), nothing)
+    monkeypatch.setattr("dronevio.inspection.page.inspection_page", lambda *_: "<html>")
     monkeypatch.setattr("dronevio.inspection.inspection.inspect", lambda *_, **__: found)
     arguments = ["inspect", str(flown.folder), "--out", str(tmp_path / "page.html")]
     assert main(arguments) == 0
