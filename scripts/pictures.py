@@ -47,7 +47,8 @@ IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 REPORT_PX = (1200, 1284)  # to the end of the error plots
 INSPECTION_PX = (1240, 3400)  # to the end of the plots of images and gyroscope
-INSPECTION_PARTS = (slice(0, 900), slice(2250, 3400))  # the verdict with the first rows, and the plots
+INSPECTION_WIDTH_PX = 900
+INSPECTION_PARTS = (slice(0, 900), slice(2200, 3320))  # the verdict with the first rows, and the plots
 RECORDING_PX = (1440, 900)
 RECORDING_TOP_PX = 38  # height of the viewer's title bar
 RECORDING_S = 17.0  # time of the flight that is shown
@@ -96,7 +97,7 @@ def report_screenshot(page: Path, scratch: Path, size_px: tuple[int, int] = REPO
 def inspection_picture(page: Path, scratch: Path) -> Picture:
     """Return a screenshot of the beginning of the page of an inspection and of its first plots."""
     shot = report_screenshot(page, scratch, INSPECTION_PX)
-    return np.concatenate([shot[part] for part in INSPECTION_PARTS])
+    return resized(np.concatenate([shot[part] for part in INSPECTION_PARTS]), INSPECTION_WIDTH_PX)
 
 
 @contextmanager
