@@ -107,7 +107,7 @@ def measure(recording: Recording, progress: Progress = silent) -> Measured:
             backwards = 0.0 if found is None else found.agreement
         pixel_rad = 1.0 / recording.rig.cameras[0].model.fx
         course = offset_course(rotations, gyroscope, relation)
-        lens = _lens(sample.flows, recording, gyroscope, relation, course, pixel_rad)
+        lens = _lens(sample.flows, rotations, recording, gyroscope, relation, course, pixel_rad)
         if lens is not None and relation.agreement <= BELONGS and lens.cost_ratio > 1.0:
             corrected = _rotations([changed_flow(flow, lens) for flow in sample.flows])
             again = relate(corrected, gyroscope)
@@ -125,6 +125,7 @@ def measure(recording: Recording, progress: Progress = silent) -> Measured:
 
 def _lens(
     flows: Sequence[Flow],
+    rotations: Rotations,
     recording: Recording,
     gyroscope: Gyroscope,
     relation: Relation,
@@ -132,11 +133,9 @@ def _lens(
     pixel_rad: float,
 ) -> LensCheck | None:
     """Return the change of the lens that agrees best, by rotations with the relation or else by the calibration."""
-    pairs = Rotations(
-        np.array([flow.t_ns[0] for flow in flows]),
-        np.array([flow.t_ns[1] for flow in flows]),
-        np.array([rotation_of(flow) / flow.duration_s for flow in flows]),
-    )
+    start = np.array([flow.t_ns[0] for flow in flows], dtype=np.int64)
+    end = np.array([flow.t_ns[1] for flow in flows], dtype=np.int64)
+    pairs = Rotations(start, end, np.full((len(flows), 3), np.nan))
     duration_s = np.array([flow.duration_s for flow in flows])[:, None]
     if relation.agreement > BELONGS and 0.67 < relation.scale < 1.5:
         # The rotation and the bias are those of the relation, its scale is what the lens is asked for.
@@ -144,10 +143,9 @@ def _lens(
     elif relation.agreement > BELONGS or (course is not None and course.step_is_significant):
         return None
     else:
-        Q = recording.rig.cameras[0].T_imu_cam[:3, :3].T
-        measured = gyroscope.rates(pairs, calibrated_offset_s(recording))
-        bias = np.nanmedian(measured - pairs.rate_rad_s @ Q, axis=0)
-        rates = (measured - bias) @ Q.T
+        Q, offset_s = recording.rig.cameras[0].T_imu_cam[:3, :3].T, calibrated_offset_s(recording)
+        bias = np.nanmedian(gyroscope.rates(rotations, offset_s) - rotations.rate_rad_s @ Q, axis=0)
+        rates = (gyroscope.rates(pairs, offset_s) - bias) @ Q.T
     return check_lens(flows, rates * duration_s, pixel_rad)
 
 
