@@ -46,6 +46,9 @@ Picture = npt.NDArray[np.uint8]
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 REPORT_PX = (1200, 1284)  # to the end of the error plots
+INSPECTION_PX = (1240, 3400)  # to the end of the plots of images and gyroscope
+INSPECTION_WIDTH_PX = 900
+INSPECTION_PARTS = (slice(0, 900), slice(2200, 3320))  # the verdict with the first rows, and the plots
 RECORDING_PX = (1440, 900)
 RECORDING_TOP_PX = 38  # height of the viewer's title bar
 RECORDING_S = 17.0  # time of the flight that is shown
@@ -79,16 +82,22 @@ def read(path: Path) -> Picture:
     return np.asarray(image[..., ::-1], dtype=np.uint8)
 
 
-def report_screenshot(page: Path, scratch: Path) -> Picture:
-    """Return a screenshot of the beginning of a report in a browser."""
+def report_screenshot(page: Path, scratch: Path, size_px: tuple[int, int] = REPORT_PX) -> Picture:
+    """Return a screenshot of the beginning of a page in a browser."""
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         sys.exit(f"pictures: no browser; expected one of {', '.join(BROWSERS)}")
-    size = ",".join(map(str, REPORT_PX))
+    size = ",".join(map(str, size_px))
     flags = ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--window-size={size}"]
     shot = scratch / "report.png"
     subprocess.run([browser, *flags, f"--screenshot={shot}", page.resolve().as_uri()], check=True, capture_output=True)
     return read(shot)
+
+
+def inspection_picture(page: Path, scratch: Path) -> Picture:
+    """Return a screenshot of the beginning of the page of an inspection and of its first plots."""
+    shot = report_screenshot(page, scratch, INSPECTION_PX)
+    return resized(np.concatenate([shot[part] for part in INSPECTION_PARTS]), INSPECTION_WIDTH_PX)
 
 
 @contextmanager
@@ -217,6 +226,10 @@ def make_pictures(scratch: Path, shown: Path | None) -> None:
     main(["fly", "--scenario", "room-medium", "--rig", "euroc-stereo", "--out", str(flight)])
     draw_estimator(flight, scratch / "estimator.png")
     save("estimator.jpg", read(scratch / "estimator.png"))
+    inspected = scratch / "inspected"
+    main(["fly", "--scenario", "room", "--rig", "fisheye-stereo", "--out", str(inspected)])
+    main(["inspect", str(inspected), "--out", str(scratch / "inspection.html")])
+    save("inspection.jpg", inspection_picture(scratch / "inspection.html", scratch))
     save("book-imu.jpg", read(scratch / "imu" / "path.png"))
     save("book-camera.jpg", read(scratch / "imu" / "camera.png"))
     save("book-eqvio.jpg", read(scratch / "eqvio" / "paths.png"))

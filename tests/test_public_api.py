@@ -15,7 +15,7 @@ from dronevio.models.errors import EvaluationError
 ROOT = Path(dv.__file__).parent
 PACKAGES = sorted(
     ".".join(["dronevio", *path.parent.relative_to(ROOT).parts])
-    for folder in ("", "models", "sim", "estimator", "eval", "book", "cli")
+    for folder in ("", "models", "sim", "estimator", "eval", "book", "cli", "inspection")
     for path in (ROOT / folder).glob("__init__.py" if not folder else "**/__init__.py")
 )
 

@@ -55,14 +55,17 @@ def edge_blur_px(image: Image) -> float:
     ratio of both determines σ, whatever the height of the step (Zhuo and Sim, "Defocus map estimation from a single
     image", Pattern Recognition 2011, eq. 6). The median over the steepest pixels is returned, NaN without edges.
     """
-    smooth = cv2.GaussianBlur(image, (0, 0), PREFILTER_PX).astype(np.float32)
+    smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), PREFILTER_PX), np.float32)
     steep = _gradient(smooth)
     limit = max(float(np.quantile(steep[::STRIDE, ::STRIDE], 1.0 - EDGE_SHARE)), MIN_EDGE)
     edges = steep >= limit
     if not edges.any():
         return float("nan")
     ratio = float(
-        np.median(steep[edges] / np.maximum(_gradient(cv2.GaussianBlur(smooth, (0, 0), REBLUR_PX))[edges], 1e-6))
+        np.median(
+            steep[edges]
+            / np.maximum(_gradient(np.asarray(cv2.GaussianBlur(smooth, (0, 0), REBLUR_PX), np.float32))[edges], 1e-6)
+        )
     )
     total = REBLUR_PX**2 / max(ratio**2 - 1.0, 1e-3)
     return float(np.sqrt(max(total - PREFILTER_PX**2, 0.0)))

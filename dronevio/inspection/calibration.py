@@ -57,7 +57,8 @@ def _lens(measured: Measured) -> Finding:
     # Angles that are s times as large are those of a focal length of f / s.
     found = (
         f"the motion agrees {lens.cost_ratio:.1f} times better with f = {camera.fx / lens.scale:.0f} px instead of"
-        f" {camera.fx:.0f} and a distortion that differs by {lens.cubic:+.2f} θ²; features move by {lens.change_px:.0f} px"
+        f" {camera.fx:.0f} and a distortion that differs by {lens.cubic:+.2f} θ²; features move by"
+        f" {lens.change_px:.0f} px"
     )
     off_scale = abs(lens.scale - 1.0) > 0.05
     what = "the focal length is wrong" if off_scale else "the distortion is wrong"

@@ -1,10 +1,11 @@
 """Findings about the images of a recording and their time stamps."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.inspection.appearance import Appearance
 from dronevio.inspection.measured import Measured
 from dronevio.inspection.model import Finding, Topic, Verdict, graded, more_severe
 from dronevio.inspection.relation import Rotations
@@ -50,10 +51,20 @@ def camera_findings(measured: Measured) -> Iterator[Finding]:
         "images",
         float(len(recording.frame_times_ns)),
         Verdict.GOOD,
-        f"{len(recording.frame_times_ns)} frames of {count} camera{'s' if count > 1 else ''}, {', '.join(sorted(sizes))};"
-        f" {sample.frames} were looked at",
+        f"{len(recording.frame_times_ns)} frames of {count} camera{'s' if count > 1 else ''},"
+        f" {', '.join(sorted(sizes))}; {sample.frames} were looked at",
         "one camera or more",
     )
+    bits = max(getattr(recording, "image_bits", ()), default=8)
+    if bits > 8:
+        yield Finding(
+            Topic.CAMERAS,
+            "bit depth",
+            float(bits),
+            Verdict.GOOD,
+            f"{bits} bits in files of 16, of which the upper 8 are used",
+            "8 to 16 bits, with one scale for all images of a camera",
+        )
     yield from _stamps(measured)
     yield from _appearance(measured)
     yield _repeated(measured)
@@ -97,7 +108,7 @@ def _stamps(measured: Measured) -> Iterator[Finding]:
         "gaps",
         longest,
         verdict,
-        f"{missing} images are missing in {int(gaps.sum())} gaps, the longest of {longest:.2f} s at {at_s:.1f} s"
+        f"images missing: {missing}; gaps: {int(gaps.sum())}, the longest of {longest:.2f} s at {at_s:.1f} s"
         if missing
         else "none",
         f"no gap beyond {DOUBTFUL_GAP_S:g} s, after which a moving camera sees other features, and at most"
@@ -130,12 +141,7 @@ def _appearance(measured: Measured) -> Iterator[Finding]:
         )
         return
     names = [f"cam{k}" for k in range(len(measured.sample.appearance))]
-    means, spreads, clipped, blurs = ([], [], [], [])  # type: tuple[list[float], ...]
-    for each in measured.sample.appearance:
-        values = np.array([[a.mean, a.spread, max(a.black, a.white), a.blur_px] for a in each]).reshape(-1, 4)
-        for column, into in zip(values.T, (means, spreads, clipped, blurs), strict=True):
-            finite = column[np.isfinite(column)]
-            into.append(float(np.median(finite)) if len(finite) else float("nan"))
+    means, spreads, clipped, blurs = np.array([_medians(each) for each in measured.sample.appearance]).T.tolist()
     worst = int(np.nanargmin(spreads))
     verdict = graded(-spreads[worst], -DOUBTFUL_SPREAD, -WRONG_SPREAD)
     dark = "dark" if means[worst] < 64 else "pale"
@@ -179,6 +185,13 @@ def _appearance(measured: Measured) -> Iterator[Finding]:
         )
 
 
+def _medians(appearance: Sequence[Appearance]) -> list[float]:
+    """Return the medians of brightness, contrast, clipped pixels and blur of some images; NaN where there is none."""
+    columns = zip(*((a.mean, a.spread, max(a.black, a.white), a.blur_px) for a in appearance), strict=True)
+    finite = [[value for value in column if np.isfinite(value)] for column in columns] or [[]] * 4
+    return [float(np.median(values)) if values else float("nan") for values in finite]
+
+
 def _repeated(measured: Measured) -> Finding:
     """Return whether images are repeated while the vehicle turns."""
     sample = measured.sample
@@ -188,8 +201,8 @@ def _repeated(measured: Measured) -> Finding:
         if not len(t_ns):
             continue
         found += [(camera, t) for t in t_ns[_turns(measured, t_ns)].tolist()]
-    share = max((sum(camera == k for camera, _ in found) for k in range(len(sample.repeated))), default=0)
-    share = share / max(sample.compared, 1)
+    most = max((sum(camera == k for camera, _ in found) for k in range(len(sample.repeated))), default=0)
+    share = most / max(sample.compared, 1)
     at_rest = sum(map(len, sample.repeated)) - len(found)
     verdict = Verdict.GOOD if not found else graded(share, 0.0, DOUBTFUL_REPEATED)
     start_s = (min(t for _, t in found) - int(measured.recording.frame_times_ns[0])) * 1e-9 if found else 0.0

@@ -2,13 +2,13 @@
 
 from collections.abc import Iterator
 
-from dronevio.inspection.measured import BELONGS, Measured
+from dronevio.inspection.measured import BELONGS, Measured, calibrated_offset_s
 from dronevio.inspection.model import Finding, Topic, Verdict, graded
 
 MIN_ROTATION_RAD_S = 0.03
 """Rotation below which the error of the images, a tenth of a pixel in 50 ms, is a tenth of it [rad/s]."""
 DOUBTFUL_OFFSET_S, WRONG_OFFSET_S = 0.005, 0.2
-"""Offset at which the image of a drone that turns by 1 rad/s moves by two pixels, and one beyond all delays of cameras."""
+"""Offset at which the image of a drone that turns by 1 rad/s moves by two pixels, and one that no camera has."""
 DOUBTFUL_STEP_S = 0.003
 """Change of the offset at which the image of a drone that turns by 1 rad/s moves by a pixel."""
 SIGMAS = 4.0
@@ -25,7 +25,7 @@ def clock_findings(measured: Measured) -> Iterator[Finding]:
     if relation is None or not (measured.belongs or stepped):
         yield _unknown("time offset", "the offset of the calibration")
         return
-    calibrated_s = measured.recording.rig.time_offset_s
+    calibrated_s = calibrated_offset_s(measured.recording)
     difference_s = abs(relation.offset_s - calibrated_s)
     verdict = graded(difference_s, max(DOUBTFUL_OFFSET_S, SIGMAS * relation.offset_sigma_s), WRONG_OFFSET_S)
     yield Finding(

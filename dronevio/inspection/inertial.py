@@ -93,7 +93,7 @@ def spectrum_of(imu: ImuSamples) -> Spectrum | None:
         sections = sections - sections.mean(axis=2, keepdims=True)
         power = (np.abs(np.fft.rfft(sections * window, axis=2)) ** 2).mean(axis=0).sum(axis=0)
         density.append(2.0 * power / (rate_hz * float(window @ window)))
-    return Spectrum(np.fft.rfftfreq(n, 1.0 / rate_hz), density[0], density[1])
+    return Spectrum(np.asarray(np.fft.rfftfreq(n, 1.0 / rate_hz), np.float64), density[0], density[1])
 
 
 def resting(imu: ImuSamples, bias_rad_s: Array | None) -> list[tuple[int, int]]:
@@ -105,7 +105,7 @@ def resting(imu: ImuSamples, bias_rad_s: Array | None) -> list[tuple[int, int]]:
     """
     if len(imu) < 10:
         return []
-    part, starts, counts = _parts(imu.t_ns, REST_S)
+    starts, counts = _parts(imu.t_ns, REST_S)
     gyro = np.add.reduceat(imu.gyro_rad_s, starts, axis=0) / counts[:, None]
     force = np.add.reduceat(imu.accel_m_s2, starts, axis=0) / counts[:, None]
     change = np.linalg.norm(np.diff(gyro, axis=0, append=gyro[-1:]), axis=1)
@@ -129,7 +129,8 @@ def mean_force_m_s2(imu: ImuSamples, bias_rad_s: Array) -> float:
         imu: Samples over a second or more.
         bias_rad_s: (3,) Bias of the gyroscope.
     """
-    return float(np.median([np.linalg.norm(force.mean(axis=0)) for force in _levelled(imu, bias_rad_s, np.eye(3))]))
+    means = [products.mean(axis=0) for products in _levelled(imu, bias_rad_s)]
+    return float(np.median([np.linalg.norm(np.einsum("ijj->i", mean)) for mean in means]))
 
 
 def spread_of_axes(imu: ImuSamples, bias_rad_s: Array) -> Array:
@@ -143,11 +144,16 @@ def spread_of_axes(imu: ImuSamples, bias_rad_s: Array) -> Array:
         imu: Samples over a second or more.
         bias_rad_s: (3,) Bias of the gyroscope.
     """
-    return np.array([np.mean([force.var(axis=0).sum() for force in _levelled(imu, bias_rad_s, axes)]) for axes in AXES])
+    windows = _levelled(imu, bias_rad_s)
+    forces = (np.einsum("bijk,ajk->abi", products, np.array(AXES)) for products in windows)
+    return np.asarray(np.mean([force.var(axis=1).sum(axis=1) for force in forces], axis=0))
 
 
-def _levelled(imu: ImuSamples, bias_rad_s: Array, axes: Array) -> list[Array]:
-    """Return mean specific forces (B, 3) in the frame at the beginning of each window."""
+def _levelled(imu: ImuSamples, bias_rad_s: Array) -> list[Array]:
+    """Return the means (B, 3, 3, 3) of R_ij f_k of each window: Σ R_ij A_jk f_k is the force with axes A, levelled.
+
+    R turns vectors into the frame at the beginning of the window.
+    """
     means = imu.increments()
     dt_s = np.diff(means.t_ns, prepend=means.t_ns[:1] - int(np.median(np.diff(means.t_ns)))) * 1e-9
     windows = max(1, int((means.t_ns[-1] - means.t_ns[0]) * 1e-9 / WINDOW_S))
@@ -157,9 +163,9 @@ def _levelled(imu: ImuSamples, bias_rad_s: Array, axes: Array) -> list[Array]:
         if b - a < MIN_WINDOW_SAMPLES:  # within a gap
             continue
         R = integrated_rotations((means.gyro_rad_s[a:b] - bias_rad_s) * dt_s[a:b, None])[:-1]
-        force = np.einsum("nij,nj->ni", R, means.accel_m_s2[a:b] @ axes.T)
-        _, bins, counts = _parts(means.t_ns[a:b], BIN_S)
-        found.append(np.add.reduceat(force, bins, axis=0) / counts[:, None])
+        products = R[:, :, :, None] * means.accel_m_s2[a:b, None, None]
+        bins, counts = _parts(means.t_ns[a:b], BIN_S)
+        found.append(np.add.reduceat(products, bins, axis=0) / counts[:, None, None, None])
     return found
 
 
@@ -180,7 +186,7 @@ def allan_deviation(imu: ImuSamples) -> AllanDeviation | None:
 
 
 def _parts(t_ns: npt.NDArray[np.int64], duration_s: float) -> tuple[npt.NDArray[np.int64], ...]:
-    """Return the part of each sample, and the first sample and the number of samples of each part."""
+    """Return the first sample and the number of samples of each part of a duration."""
     part = (t_ns - t_ns[0]) // round(duration_s * 1e9)
     starts = np.flatnonzero(np.diff(part, prepend=-1))
-    return part, starts, np.diff(np.append(starts, len(t_ns)))
+    return starts, np.diff(np.append(starts, len(t_ns)))

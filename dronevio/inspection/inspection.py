@@ -59,9 +59,7 @@ def inspect(recording: Recording | str | Path, *, run: bool = False, progress: S
 
 
 def _inspection(measured: Measured, run: EstimatorRun | None, source: Recording) -> Inspection:
-    """Return the findings and the page of a recording that has been measured."""
-    from dronevio.inspection.page import inspection_page  # Matplotlib takes half a second
-
+    """Return the findings about a recording that has been measured."""
     imu = measured.recording.imu
     bias = measured.relation.bias_rad_s if measured.relation is not None and measured.belongs else None
     rest_ns = tuple(resting(imu, bias))
@@ -81,8 +79,7 @@ def _inspection(measured: Measured, run: EstimatorRun | None, source: Recording)
     order = list(Topic)
     ordered: tuple[Finding, ...] = tuple(sorted(findings, key=lambda finding: order.index(finding.topic)))
     facts = _facts(measured.recording)
-    page = inspection_page(measured.recording.name, ordered, facts, details)
-    return Inspection(measured.recording.name, facts, ordered, page)
+    return Inspection(measured.recording.name, facts, ordered, details)
 
 
 def _facts(recording: Recording) -> dict[str, object]:

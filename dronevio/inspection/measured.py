@@ -107,7 +107,7 @@ def measure(recording: Recording, progress: Progress = silent) -> Measured:
             backwards = 0.0 if found is None else found.agreement
         pixel_rad = 1.0 / recording.rig.cameras[0].model.fx
         course = offset_course(rotations, gyroscope, relation)
-        lens = _lens(sample.flows, recording, gyroscope, relation, course, pixel_rad)
+        lens = _lens(sample.flows, rotations, recording, gyroscope, relation, course, pixel_rad)
         if lens is not None and relation.agreement <= BELONGS and lens.cost_ratio > 1.0:
             corrected = _rotations([changed_flow(flow, lens) for flow in sample.flows])
             again = relate(corrected, gyroscope)
@@ -125,6 +125,7 @@ def measure(recording: Recording, progress: Progress = silent) -> Measured:
 
 def _lens(
     flows: Sequence[Flow],
+    rotations: Rotations,
     recording: Recording,
     gyroscope: Gyroscope,
     relation: Relation,
@@ -132,11 +133,9 @@ def _lens(
     pixel_rad: float,
 ) -> LensCheck | None:
     """Return the change of the lens that agrees best, by rotations with the relation or else by the calibration."""
-    pairs = Rotations(
-        np.array([flow.t_ns[0] for flow in flows]),
-        np.array([flow.t_ns[1] for flow in flows]),
-        np.array([rotation_of(flow) / flow.duration_s for flow in flows]),
-    )
+    start = np.array([flow.t_ns[0] for flow in flows], dtype=np.int64)
+    end = np.array([flow.t_ns[1] for flow in flows], dtype=np.int64)
+    pairs = Rotations(start, end, np.full((len(flows), 3), np.nan))
     duration_s = np.array([flow.duration_s for flow in flows])[:, None]
     if relation.agreement > BELONGS and 0.67 < relation.scale < 1.5:
         # The rotation and the bias are those of the relation, its scale is what the lens is asked for.
@@ -144,10 +143,9 @@ def _lens(
     elif relation.agreement > BELONGS or (course is not None and course.step_is_significant):
         return None
     else:
-        Q = recording.rig.cameras[0].T_imu_cam[:3, :3].T
-        measured = gyroscope.rates(pairs, recording.rig.time_offset_s)
-        bias = np.nanmedian(measured - pairs.rate_rad_s @ Q, axis=0)
-        rates = (measured - bias) @ Q.T
+        Q, offset_s = recording.rig.cameras[0].T_imu_cam[:3, :3].T, calibrated_offset_s(recording)
+        bias = np.nanmedian(gyroscope.rates(rotations, offset_s) - rotations.rate_rad_s @ Q, axis=0)
+        rates = (gyroscope.rates(pairs, offset_s) - bias) @ Q.T
     return check_lens(flows, rates * duration_s, pixel_rad)
 
 
@@ -164,8 +162,9 @@ def _sampled(recording: Recording, progress: Progress) -> ImageSample:
     cameras = recording.rig.cameras
     runs = sampled_runs(recording.frame_times_ns) if cameras else []
     total, done = sum(map(len, runs)), 0
-    every = np.concatenate(runs) if runs else np.zeros(0, np.int64)
-    chosen = set(every[((np.arange(SHOWN) + 0.5) / SHOWN * len(every)).astype(int)].tolist()) if len(every) else set()
+    candidates = [index for run in runs for index in run[::STEREO_EVERY].tolist()]
+    shares = (np.arange(SHOWN) + 0.5) / SHOWN
+    chosen = {candidates[int(share * len(candidates))] for share in shares} if candidates else set()
     flows: list[Flow] = []
     shown: list[CameraFrame] = []
     defects: list[Defect] = []
@@ -213,14 +212,15 @@ def _along(frame: CameraFrame, earlier: "deque[tuple[int, Image]]", recording: R
     image = frame.images[0]
     if not image.size:
         return
-    old = [entry for entry in earlier if frame.t_ns - entry[0] >= PAIR_S * 1e9]
+    now_ns = _exposure_ns(frame, 0)
+    old = [entry for entry in earlier if now_ns - entry[0] >= PAIR_S * 1e9]
     if old:
         t_ns, before = old[-1]
         if not np.array_equal(before, image):
-            yield flow_between(before, image, (t_ns, frame.t_ns), recording.rig.cameras[0].model)
+            yield flow_between(before, image, (t_ns, now_ns), recording.rig.cameras[0].model)
         while earlier and earlier[0][0] <= t_ns:
             earlier.popleft()
-    earlier.append((frame.t_ns, image))
+    earlier.append((now_ns, image))
 
 
 def _across(frame: CameraFrame, recording: Recording) -> Iterator[tuple[int, Flow]]:
@@ -236,6 +236,18 @@ def _equals(image: Image, last: Image) -> bool:
     if not image.size or image.shape != last.shape or not np.array_equal(image[:1], last[:1]):
         return False
     return bool(np.array_equal(image, last)) and int(image.max()) - int(image.min()) > 1
+
+
+def calibrated_offset_s(recording: Recording) -> float:
+    """Return the calibrated time offset of the first camera [s]."""
+    rig = recording.rig
+    return rig.time_offset_s + float(getattr(rig.cameras[0], "time_offset_s", 0.0))
+
+
+def _exposure_ns(frame: CameraFrame, camera: int) -> int:
+    """Return the time stamp of the image of a camera [ns]."""
+    delays: tuple[int, ...] = getattr(frame, "image_delays_ns", ())
+    return frame.t_ns + (delays[camera] if delays else 0)
 
 
 def angle_deg(R: Array) -> float:

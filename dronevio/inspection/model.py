@@ -3,11 +3,13 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+if TYPE_CHECKING:
+    from dronevio.inspection.details import Details
 
 
 class Verdict(StrEnum):
@@ -75,7 +77,7 @@ class Finding:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Inspection:
     """The findings about a recording."""
 
@@ -85,8 +87,15 @@ class Inspection:
     """What the recording holds, such as its duration and its numbers of frames and samples; values for JSON."""
     findings: tuple[Finding, ...]
     """All rows, in the order of the topics."""
-    page: str = field(repr=False)
-    """The page as HTML."""
+    details: "Details" = field(repr=False)
+    """The measurements behind them, for the plots of the page."""
+
+    @cached_property
+    def page(self) -> str:
+        """The page as HTML."""
+        from dronevio.inspection.page import inspection_page  # Matplotlib takes half a second
+
+        return inspection_page(self.name, self.findings, self.facts, self.details)
 
     @property
     def verdict(self) -> Verdict:

@@ -96,24 +96,27 @@ def _section(rotations: Rotations, gyroscope: Gyroscope, relation: Relation) -> 
     """Return the offset of a section and its standard deviation [s]; None if it is not determined."""
     measured = rotations.rate_rad_s
 
-    def misfit(offset_s: float) -> float:
-        residuals = ((measured - relation.predicted(gyroscope, rotations, offset_s)) ** 2).sum(axis=1)
+    def misfits(offsets_s: Array) -> Array:
+        residuals = ((measured - relation.predicted(gyroscope.rates_at(rotations, offsets_s))) ** 2).sum(axis=2)
         scale = (3.0 * relation.noise_rad_s) ** 2
         values = scale * np.log1p(residuals / scale)
-        return float(np.nanmean(values)) if np.isfinite(values).sum() > 0.7 * len(values) else np.inf
+        inside = np.isfinite(values)
+        means = np.where(inside, values, 0.0).sum(axis=1) / np.maximum(inside.sum(axis=1), 1)
+        return np.where(inside.mean(axis=1) > 0.7, means, np.inf)
 
-    costs = np.array([misfit(offset) for offset in relation.offsets_s])
+    costs = misfits(relation.offsets_s)
     finite = costs[np.isfinite(costs)]
     if not len(finite) or finite.min() > MAX_RELATIVE_COST * np.median(finite):
         return None
     offset_s = float(relation.offsets_s[np.argmin(costs)])
     for step in (COARSE_STEP_S, 0.2 * COARSE_STEP_S):
-        low, mid, high = (misfit(offset_s + k * step) for k in (-1, 0, 1))
+        low, mid, high = misfits(offset_s + step * np.array([-1.0, 0.0, 1.0])).tolist()
         bend = low - 2.0 * mid + high
         if np.isfinite(bend) and bend > 0.0:
             offset_s += step * float(np.clip(0.5 * (low - high) / bend, -1.0, 1.0))
-    residual = measured - relation.predicted(gyroscope, rotations, offset_s)
-    later, earlier = (relation.predicted(gyroscope, rotations, offset_s + k * COARSE_STEP_S) for k in (1, -1))
+    near = relation.predicted(gyroscope.rates_at(rotations, offset_s + COARSE_STEP_S * np.array([-1.0, 0.0, 1.0])))
+    earlier, predicted, later = near
+    residual = measured - predicted
     acceleration = np.nan_to_num((later - earlier) / (2.0 * COARSE_STEP_S))
     variance = np.nanmedian((residual**2).sum(axis=1)) / 2.37  # median of χ² with three degrees of freedom
     total = float((acceleration**2).sum())

@@ -10,6 +10,7 @@ from dronevio.eval.report.figures import svg_plot
 from dronevio.eval.report.templating import Tile, number, render_page
 from dronevio.inspection import plots
 from dronevio.inspection.details import Details
+from dronevio.inspection.measured import calibrated_offset_s
 from dronevio.inspection.model import Finding, Topic, Verdict, summary_of, worst
 from dronevio.inspection.pictures import picture, undistorted, with_matches
 
@@ -99,7 +100,7 @@ def _rotation_plots(details: Details) -> Iterator[Markup]:
         yield svg_plot(_HEIGHT_IN, lambda ax, axis=axis: plots.draw_rotation(ax, measured, axis))  # type: ignore[misc]
     relation, course = measured.relation, measured.course
     if relation is not None:
-        calibrated_s = measured.recording.rig.time_offset_s
+        calibrated_s = calibrated_offset_s(measured.recording)
         yield svg_plot(_HEIGHT_IN, lambda ax: plots.draw_offset_search(ax, relation, calibrated_s))
     if course is not None:
         yield svg_plot(_HEIGHT_IN, lambda ax: plots.draw_offset_course(ax, course))

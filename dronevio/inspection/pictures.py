@@ -22,7 +22,7 @@ _LINE = (80, 200, 255)  # BGR
 
 
 def undistorted(image: Image, model: CameraModel) -> Image:
-    """Return an image (H, W) as a pinhole of the same size and focal length sees it; black where the lens has no ray."""
+    """Return an image (H, W) as a pinhole of the same focal length sees it; black where the lens has no ray."""
     u, v = np.meshgrid(np.arange(model.width), np.arange(model.height))
     rays = np.stack([(u - model.cx) / model.fx, (v - model.cy) / model.fy, np.ones_like(u, np.float64)], axis=-1)
     pixels = np.nan_to_num(model.project(rays), nan=-1e4).astype(np.float32)

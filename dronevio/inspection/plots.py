@@ -30,7 +30,7 @@ def draw_rotation(ax: Axes, measured: Measured, axis: int) -> None:
         t_ns = np.linspace(rotations.start_ns[0], rotations.end_ns[-1], _CURVE_POINTS).astype(np.int64)
         half_ns = int(np.median(rotations.end_ns - rotations.start_ns)) // 2
         smooth = Rotations(t_ns - half_ns, t_ns + half_ns, np.zeros((len(t_ns), 3)))
-        rates = np.degrees(relation.predicted(gyroscope, smooth)[:, axis])
+        rates = np.degrees(relation.predicted(gyroscope.rates(smooth, relation.offset_s))[:, axis])
         ax.plot(
             (t_ns - origin_ns) * 1e-9, rates, color=colours.SIGMA, linewidth=1.6, label="gyroscope, moved and turned"
         )
@@ -74,7 +74,7 @@ def draw_offset_course(ax: Axes, course: OffsetCourse) -> None:
 
 
 def draw_imu(ax: Axes, imu: ImuSamples, values: Array, rest_ns: Sequence[tuple[int, int]], unit: str) -> None:
-    """Draw the three axes of a sensor over time, as the mean and the extremes of short intervals, with the rest shaded."""
+    """Draw the three axes of a sensor over time: means and extremes of short intervals, with the rest shaded."""
     origin_ns = int(imu.t_ns[0])
     for k, (a, b) in enumerate(rest_ns):
         ax.axvspan(

@@ -1,4 +1,4 @@
-"""The relation of two measurements of the same rotation: time offset, rotation between the frames, scale, and belonging.
+"""The relation of two measurements of one rotation: time offset, rotation between frames, scale, and belonging.
 
 A camera measures its rotation between two images, a gyroscope the rate of its own. If both are on one drone, then
 
@@ -10,6 +10,7 @@ mounting is a rotation, and measurements that do not belong together fit at no �
 """
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -71,10 +72,14 @@ class Gyroscope:
 
     def rates(self, intervals: Rotations, offset_s: float) -> Array:
         """Return the mean rates (P, 3) over intervals that are shifted by an offset [rad/s]; NaN outside."""
+        return cast(Array, self.rates_at(intervals, np.array([offset_s]))[0])
+
+    def rates_at(self, intervals: Rotations, offsets_s: Array) -> Array:
+        """Return the mean rates (D, P, 3) over intervals that are shifted by offsets (D,) [rad/s]; NaN outside."""
         ends = []
         for t_ns in (intervals.start_ns, intervals.end_ns):
-            t = (t_ns - self._origin_ns) * 1e-9 + offset_s
-            ends.append(np.stack([np.interp(t, self._t_s, each, np.nan, np.nan) for each in self._angle.T], axis=1))
+            t = (t_ns - self._origin_ns) * 1e-9 + offsets_s[:, None]
+            ends.append(np.stack([np.interp(t, self._t_s, each, np.nan, np.nan) for each in self._angle.T], axis=-1))
         duration_s = (intervals.end_ns - intervals.start_ns)[:, None] * 1e-9
         return np.asarray((ends[1] - ends[0]) / duration_s)
 
@@ -110,10 +115,9 @@ class Relation:
     weights: Array
     """(P,) Weight of each interval, near 0 for outliers."""
 
-    def predicted(self, gyroscope: Gyroscope, intervals: Rotations, offset_s: float | None = None) -> Array:
-        """Return the rates (P, 3) of the first sensor by the gyroscope, at the offset of the relation or another."""
-        rates = gyroscope.rates(intervals, self.offset_s if offset_s is None else offset_s)
-        return np.asarray(self.scale * (rates - self.bias_rad_s) @ self.Q.T)
+    def predicted(self, rates_rad_s: Array) -> Array:
+        """Return the rates (…, 3) of the first sensor for those of the gyroscope (…, 3) [rad/s]."""
+        return np.asarray(self.scale * (rates_rad_s - self.bias_rad_s) @ self.Q.T)
 
     @property
     def is_reflected(self) -> bool:
@@ -129,14 +133,14 @@ def relate(first: Rotations, gyroscope: Gyroscope, search_s: float = SEARCH_S) -
         gyroscope: The gyroscope.
         search_s: Largest offset [s].
     """
-    first = first[np.isfinite(first.rate_rad_s).all(axis=1)]
+    first = first[np.asarray(np.isfinite(first.rate_rad_s).all(axis=1), np.bool_)]
     if len(first) < MIN_PAIRS:
         return None
     offsets = np.linspace(-search_s, search_s, 2 * round(search_s / COARSE_STEP_S) + 1)
     # Outliers among the first are measured by the second, at the offset that fits best; these two depend on each other.
-    weights = np.ones(len(first))
+    weights, table = np.ones(len(first)), gyroscope.rates_at(first, offsets)
     for _ in range(3):
-        curve = np.array([_explained(first, gyroscope, offset, weights) for offset in offsets])
+        curve = _explained(first.rate_rad_s, table, weights)
         if not np.isfinite(curve).any():
             return None
         offset = _refined(first, gyroscope, float(offsets[np.nanargmax(curve)]), weights)
@@ -149,7 +153,7 @@ def _relation(
 ) -> Relation:
     """Return the relation at the best offset."""
     second = gyroscope.rates(first, offset)
-    inside = np.isfinite(second).all(axis=1)
+    inside = np.asarray(np.isfinite(second).all(axis=1), np.bool_)
     a, b, w = first.rate_rad_s[inside], second[inside], weights[inside]
     mean_a, mean_b = w @ a / w.sum(), w @ b / w.sum()
     a, b = a - mean_a, b - mean_b
@@ -177,18 +181,21 @@ def _relation(
     )
 
 
-def _explained(first: Rotations, gyroscope: Gyroscope, offset_s: float, weights: Array) -> float:
-    """Return the share of the variance that a scaled orthogonal matrix and a bias explain at an offset."""
-    second = gyroscope.rates(first, offset_s)
-    inside = np.isfinite(second).all(axis=1)
+def _explained(a: Array, b: Array, weights: Array) -> Array:
+    """Return the shares (D,) of the variance of a (P, 3) that scaled orthogonal matrices times b (D, P, 3) explain.
+
+    A share is NaN where b is NaN for half of the intervals or more.
+    """
+    inside = np.asarray(np.isfinite(b).all(axis=2), np.bool_)
     w = weights * inside
-    if inside.sum() < 0.5 * len(inside) or w.sum() <= 0.0:
-        return float("nan")
-    a, b = first.rate_rad_s, np.where(inside[:, None], second, 0.0)
-    a, b = a - w @ a / w.sum(), b - w @ b / w.sum()
-    singular = np.linalg.svd((a * w[:, None]).T @ b, compute_uv=False)
-    variance_a, variance_b = w @ (a * a).sum(axis=1), w @ (b * b).sum(axis=1)
-    return float(singular.sum() ** 2 / max(variance_a * variance_b, 1e-300))
+    total = np.maximum(w.sum(axis=1), 1e-300)[:, None]
+    b = np.where(inside[:, :, None], b, 0.0)
+    a = a - (w @ a / total)[:, None]  # (D, P, 3)
+    b = b - (np.einsum("dp,dpi->di", w, b) / total)[:, None]
+    singular = np.linalg.svd(np.einsum("dp,dpi,dpj->dij", w, a, b), compute_uv=False)
+    variances = np.einsum("dp,dpi->d", w, a * a) * np.einsum("dp,dpi->d", w, b * b)
+    shares = singular.sum(axis=1) ** 2 / np.maximum(variances, 1e-300)
+    return np.asarray(np.where(inside.mean(axis=1) < 0.5, np.nan, shares))
 
 
 def _procrustes(a: Array, b: Array, w: Array, sign: float | None) -> tuple[Array, float, float]:
@@ -204,7 +211,7 @@ def _procrustes(a: Array, b: Array, w: Array, sign: float | None) -> tuple[Array
 
 def _weights(a: Array, b: Array) -> Array:
     """Return weights (P,) of intervals by their residuals: Cauchy's, with a robust scale; 0 where b is NaN."""
-    inside = np.isfinite(b).all(axis=1)
+    inside = np.asarray(np.isfinite(b).all(axis=1), np.bool_)
     weights = inside.astype(np.float64)
     for _ in range(ITERATIONS):
         w = weights / weights.sum()
@@ -220,7 +227,8 @@ def _weights(a: Array, b: Array) -> Array:
 def _refined(first: Rotations, gyroscope: Gyroscope, offset_s: float, weights: Array) -> float:
     """Return the offset at the top of the parabola through explained shares, to a fraction of a step."""
     for step in (COARSE_STEP_S, 0.2 * COARSE_STEP_S):
-        low, mid, high = (_explained(first, gyroscope, offset_s + k * step, weights) for k in (-1, 0, 1))
+        tried = offset_s + step * np.array([-1.0, 0.0, 1.0])
+        low, mid, high = _explained(first.rate_rad_s, gyroscope.rates_at(first, tried), weights).tolist()
         bend = low - 2.0 * mid + high
         if np.isfinite(bend) and bend < 0.0:
             offset_s += step * float(np.clip(0.5 * (low - high) / bend, -1.0, 1.0))
