@@ -107,7 +107,7 @@ class ChangedRecording:
     """A recording whose calibration and frames are replaced; satisfies the `Recording` protocol."""
 
     source: Recording
-    """The recording."""
+    """The recording that is changed."""
     rig: Rig
     """Calibration that the estimator is given."""
     change: Callable[[CameraFrame], CameraFrame]

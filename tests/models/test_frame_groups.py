@@ -60,14 +60,14 @@ def test_images_without_a_partner_are_frames_of_their_camera() -> None:
     np.testing.assert_array_equal(groups.is_complete, [True, True, True, False, True, True, False, True])
 
 
-def test_the_nearest_images_are_grouped_not_the_first_within_the_tolerance() -> None:
+def test_the_nearest_images_are_grouped() -> None:
     groups = grouped_frames([np.array([100, 200]) * MS, np.array([90, 108, 208]) * MS], tolerance_s=0.02)
     np.testing.assert_array_equal(groups.rows, rows([ABSENT, 0, 1], [0, 1, 2]))
     groups = grouped_frames([np.array([100, 110]) * MS, np.array([108]) * MS], tolerance_s=0.02)
     np.testing.assert_array_equal(groups.rows, rows([0, 1], [ABSENT, 0]))
 
 
-def test_offsets_of_cameras_count_for_the_grouping_and_are_not_in_the_delays() -> None:
+def test_offsets_count_for_the_grouping_only() -> None:
     """The second camera is stamped 30 ms late; its images belong to the frame before by their stamps alone."""
     stamps = [FRAME_NS, FRAME_NS + 30 * MS]
     groups = grouped_frames(stamps, (0.0, -0.03))

@@ -264,7 +264,7 @@ def test_cameras_exposed_one_after_another_are_compensated(offset_s: float, dela
     assert times.at_exposure_of(0, seen, calibration) is seen.xy
 
 
-def test_new_features_are_moved_to_another_exposure_by_the_rotation() -> None:
+def test_new_features_are_moved_by_the_rotation_alone() -> None:
     path, points, times = Path(RATE, ANGULAR_ACCELERATION, O, O), landmarks(), ExposureCompensation()
     calibration = Calibration(Rig((GLOBAL, replace(GLOBAL, time_offset_s=0.01))))
     begin(times, path, 0.0)

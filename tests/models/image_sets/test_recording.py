@@ -157,9 +157,7 @@ def test_contradictions_are_refused(changes: dict[str, Any], message: str) -> No
 
 
 @pytest.mark.parametrize("is_stamped", [True, False], ids=["time stamps", "time offset"])
-def test_cameras_that_are_exposed_one_after_another_have_frames_of_their_own(
-    is_stamped: bool, noise_recording: Callable[..., Any]
-) -> None:
+def test_cameras_exposed_apart_have_frames_of_their_own(is_stamped: bool, noise_recording: Callable[..., Any]) -> None:
     recording = noise_recording("euroc-stereo", frames=3)
     times, later_ns = recording.frame_times_ns, 2_160_000
     if is_stamped:
