@@ -196,10 +196,10 @@ def show_worlds(command: WorldsCommand) -> int:
     return int(max(late) > MAX_LATER_S or max(ratios) > MAX_RATIO)
 
 
-def summary(late_s: Sequence[float], ratios: Sequence[float]) -> str:
+def summary(delays_s: Sequence[float], ratios: Sequence[float]) -> str:
     """Return the largest delay of the first pose [s] and ratio of the ATE to those at 20 Hz, beside the bounds."""
     return (
-        f"first pose after that at 20 Hz: at most {max(late_s):.2f} s (at most {MAX_LATER_S:g});"
+        f"first pose after that at 20 Hz: at most {max(delays_s):.2f} s (at most {MAX_LATER_S:g});"
         f" ATE to that at 20 Hz: at most {max(ratios):.2f} (at most {MAX_RATIO:g})"
     )
 

@@ -37,9 +37,9 @@ class PlayedRecording:
     name: str
     """Name in reports."""
     rig: Rig
-    """Calibration."""
+    """Calibration of cameras and IMU."""
     imu: ImuSamples
-    """IMU samples."""
+    """IMU samples of the whole recording."""
     frame_times_ns: Times
     """(M,) Time stamps of the frames [ns]."""
     image_of: Callable[[int], CameraFrame]

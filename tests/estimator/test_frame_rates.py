@@ -197,7 +197,7 @@ def test_real_images_start_in_motion_at_any_frame_rate(
 
 
 def test_swapped_sensors_are_named(data_folder: Path, similarity: Any) -> None:
-    """Two seconds of the flight suffice, and units are not blamed."""
+    """Two seconds of the flight suffice, and the units are not named."""
     recording = open_recording(data_folder / "euroc" / "MH_01_real", 1)
     part = similarity.part_of(recording, np.arange(54))
     imu = replace(part.imu, gyro_rad_s=part.imu.accel_m_s2, accel_m_s2=part.imu.gyro_rad_s)
