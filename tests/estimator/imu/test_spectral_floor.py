@@ -77,9 +77,7 @@ def test_only_gross_noise_replaces_the_initial_estimate(factor: float, expected:
 @pytest.mark.parametrize(
     ("square", "shown", "expected"), [(0.5, 50.0, 5.0), (4.0, 50.0, 10.0), (2.0, 8.0, 5.0 * 2.0**0.5)]
 )
-def test_first_intervals_raise_the_noise_up_to_what_the_samples_show(
-    square: float, shown: float, expected: float
-) -> None:
+def test_first_intervals_raise_noise_up_to_what_samples_show(square: float, shown: float, expected: float) -> None:
     noise = estimator()
     noise.add_imu(samples(white(400, 200.0, min(shown, 8.0)), 200.0))
     limit = noise.measured[1] / SHEET[1]
