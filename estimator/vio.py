@@ -482,11 +482,13 @@ class VisualInertialOdometry:
         return replace(estimate, state=published)
 
     def _with_corrected_calibration(self, report: HealthReport) -> HealthReport:
-        """Return a health that is not tracking if a correction of the calibration has contradicted the estimate."""
+        """Return a health that is not tracking if a correction of the calibration, or the noise, contradicts it."""
         if report.health is not Health.TRACKING:
             return report
         if not self._online_calibration.is_plausible:
             return replace(report, health=Health.INERTIAL_ONLY, reason=IMPLAUSIBLE_CALIBRATION)
+        if self._noise.is_aliased:
+            return replace(report, health=Health.INERTIAL_ONLY, reason=EXCESSIVE_NOISE)
         if isinstance(self._state, Tracking) and not self._state.monitor.is_trusted:
             return replace(report, health=Health.INERTIAL_ONLY, reason=INCONSISTENT)
         return report

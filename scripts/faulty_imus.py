@@ -167,7 +167,7 @@ def main(command: FaultyImusCommand) -> int:
             run = estimate_recording(changed, VisualInertialOdometry(changed.rig))
             counts = Counter(estimate.health for estimate in run.estimates)
             has_poses = len(run.trajectory) > 2
-            ate_m = score(truth, run.trajectory, run.t_ns).ate_m if has_poses else None
+            ate_m = score(truth, run.trajectory, run.t_ns).ate_m.rmse if has_poses else None
             sigmas = tracking_sigmas(run, truth) if has_poses else None
             clean_m = ate_m if name == "none" else clean_m
             corrections = [t for e in run.estimates for t in e.events if t.startswith("calibration corrected")]

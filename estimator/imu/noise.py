@@ -257,11 +257,19 @@ class ImuNoiseEstimator:
         return max(gyro), max(accel)
 
     @property
+    def is_aliased(self) -> bool:
+        """Whether samples are left out and vibration therefore appears as slow motion, which is no white noise."""
+        return self._are_left_out and self.is_excessive
+
+    @property
+    def _are_left_out(self) -> bool:
+        return self._floor.interval_s > LEFT_OUT_INTERVALS * self._interval_s
+
+    @property
     def _shown(self) -> tuple[float, float]:
-        """Noise densities by the spectrum. Where samples are left out, vibration is aliased to the slow motions."""
-        are_left_out = self._floor.interval_s > LEFT_OUT_INTERVALS * self._interval_s
+        """Noise densities by the spectrum, larger where vibration may be aliased."""
         gyro, accel = self._floor.densities
-        return (LEFT_OUT_RATIO * gyro, LEFT_OUT_RATIO * accel) if are_left_out else (gyro, accel)
+        return (LEFT_OUT_RATIO * gyro, LEFT_OUT_RATIO * accel) if self._are_left_out else (gyro, accel)
 
     @property
     def is_excessive(self) -> bool:

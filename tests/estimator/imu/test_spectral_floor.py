@@ -77,9 +77,7 @@ def test_only_gross_noise_replaces_the_initial_estimate(factor: float, expected:
 @pytest.mark.parametrize(
     ("square", "shown", "expected"), [(0.5, 50.0, 5.0), (4.0, 50.0, 10.0), (2.0, 8.0, 5.0 * 2.0**0.5)]
 )
-def test_first_intervals_raise_the_noise_up_to_what_the_samples_show(
-    square: float, shown: float, expected: float
-) -> None:
+def test_first_intervals_raise_noise_up_to_what_samples_show(square: float, shown: float, expected: float) -> None:
     noise = estimator()
     noise.add_imu(samples(white(400, 200.0, min(shown, 8.0)), 200.0))
     limit = noise.measured[1] / SHEET[1]
@@ -93,3 +91,14 @@ def test_first_intervals_raise_the_noise_up_to_what_the_samples_show(
 def test_intervals_without_redundancy_show_no_noise() -> None:
     assert pooled_density([VarianceComponent(9.0, 0.01, 1.0)] * 10) == 0.0
     assert pooled_density([VarianceComponent(2.0, 0.5, 4.0)] * 10) == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "factor", "aliased"), [(200.0, 60.0, False), (100.0, 1.0, False), (100.0, 20.0, True)]
+)
+def test_vibration_is_aliased_where_samples_are_left_out(rate_hz: float, factor: float, aliased: bool) -> None:
+    noise = estimator()
+    noise.add_imu(samples(white(400, rate_hz, factor), rate_hz))
+    assert noise.is_aliased == aliased
+    assert noise.is_excessive == (factor > 1.0)
+    assert noise.measured[1] / SHEET[1] == pytest.approx((4.0 if rate_hz < 200.0 else 1.0) * factor, rel=0.3)
