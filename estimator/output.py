@@ -45,7 +45,7 @@ class Publisher:
         return bool(self._stated_causes)
 
     def withdraw_causes(self) -> None:
-        """Forget the causes that have been stated, because another one has been found and removed."""
+        """Withdraw the causes that have been stated, because another one has been found and removed."""
         self._cause, self._stated_causes = ("", 0), frozenset()
 
     def estimate(

@@ -208,7 +208,7 @@ class VisualInertialOdometry:
         """Return the estimate of a frame at its time by the clock of the IMU."""
         delay_s = self._stamps.add_stamp(frame.t_ns)
         packet = self._pipeline.process(
-            frame, self._calibration, *self._gyro_bias, delay_s, moves=self._moves, contradicted=self._is_doubtful
+            frame, self._calibration, *self._gyro_bias, delay_s, moves=self._moves, contradicted=self._is_contradicted
         )
         self._frame, self._newest_ns = frame, packet.t_ns
         features = packet.observations if packet.has_image else None
@@ -224,7 +224,7 @@ class VisualInertialOdometry:
                 estimate = self._track(self._state, packet)
         if packet.has_image:
             self._connection.end_frame(packet.observations)
-        offset = self._offset_search.offset(self._calibration.Ts_imu_cam) if self._is_doubtful else None
+        offset = self._offset_search.offset(self._calibration.Ts_imu_cam) if self._is_contradicted else None
         if offset is not None:
             estimate = self._adopted(offset, packet, estimate)
         if self._pipeline.repeats_image:
@@ -251,7 +251,7 @@ class VisualInertialOdometry:
         return state is not None and not velocity_may_be_zero(state)
 
     @property
-    def _is_doubtful(self) -> bool:
+    def _is_contradicted(self) -> bool:
         """Whether images and IMU contradict each other."""
         match self._state:
             case Initializing():

@@ -30,7 +30,7 @@ SPAN_S = 0.095
 """Shortest time between the frames of a pair [s]: over shorter ones, the parallax is too small to tell a rotation from
 a translation."""
 MAX_SPAN_S = 0.4
-"""Longest time between the frames of a pair [s]; offsets that are shorter cannot be told over longer ones."""
+"""Longest time between the frames of a pair [s]; longer ones do not show short offsets."""
 MIN_FEATURES = 15
 """Smallest number of common features of a pair."""
 MIN_TRACKED = 150

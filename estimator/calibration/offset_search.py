@@ -1,4 +1,4 @@
-"""Search for the time offset of camera and IMU while the estimate is in doubt.
+"""Search for the time offset of camera and IMU while images and IMU contradict each other.
 
 The online calibration (`dronevio.estimator.calibration.online`) finds an offset of some milliseconds, which hardly
 disturbs an estimate. With tens of milliseconds, there is no such estimate: an initialization fails, or images and

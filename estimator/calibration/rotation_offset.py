@@ -37,7 +37,7 @@ ITERATIONS = 10
 
 @dataclass(frozen=True)
 class RotationOffset:
-    """A time offset of camera and IMU, and what tells whether it can be believed."""
+    """A time offset of camera and IMU, and what shows whether it is significant."""
 
     offset_s: float
     """Time offset, t_imu = t_cam + offset [s]."""

@@ -54,14 +54,14 @@ class Restamped:
 
 
 def run(
-    flight: "SyntheticFlight", late_s: Callable[[Array], Array], origin_ns: int = 0
+    flight: "SyntheticFlight", delay_s: Callable[[Array], Array], origin_ns: int = 0
 ) -> tuple[VisualInertialOdometry, list[Estimate]]:
     """Return the odometry and its estimates where frames are stamped late, by a function of the time since the start.
 
     Frames whose stamp is not later than the last one are left out. All stamps are relative to another origin.
     """
     exposed_ns = flight.frame_times_ns
-    stamps_ns = exposed_ns + np.rint(1e9 * late_s((exposed_ns - exposed_ns[0]) * 1e-9)).astype(np.int64)
+    stamps_ns = exposed_ns + np.rint(1e9 * delay_s((exposed_ns - exposed_ns[0]) * 1e-9)).astype(np.int64)
     later = np.concatenate([[True], stamps_ns[1:] > np.maximum.accumulate(stamps_ns)[:-1]])
     stamps_ns, exposed_ns = stamps_ns[later] + origin_ns, exposed_ns[later]
     changed = replace(flight)
@@ -89,14 +89,14 @@ def events_of(estimates: list[Estimate], text: str) -> list[str]:
     return [event for e in estimates for event in e.events if text in event]
 
 
-@pytest.mark.parametrize("late_s", [0.06, -0.06, pytest.param(0.2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("delay_s", [0.06, -0.06, pytest.param(0.2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("rest_s", [IN_MOTION, pytest.param(1.5, marks=pytest.mark.slow)])
-def test_a_time_offset_that_prevents_tracking_is_found(make_flight: MakeFlight, late_s: float, rest_s: float) -> None:
+def test_a_time_offset_that_prevents_tracking_is_found(make_flight: MakeFlight, delay_s: float, rest_s: float) -> None:
     flight = make_flight(0, rest_s=rest_s, duration_s=8.0, motion=LIVELY, max_features=100)
-    vio, estimates = run(flight, lambda t: np.full(len(t), late_s))
+    vio, estimates = run(flight, lambda t: np.full(len(t), delay_s))
     (event,) = events_of(estimates, TIME_OFFSET_FOUND)
     assert "instead of +0.0 ms" in event
-    assert vio.time_offset_s == pytest.approx(-late_s, abs=0.003)
+    assert vio.time_offset_s == pytest.approx(-delay_s, abs=0.003)
     assert all(e.health is Health.TRACKING for e in estimates[-40:])
     begun = next(k for k, e in enumerate(estimates) if TIME_OFFSET_FOUND in "".join(e.events))
     assert ate_m(flight, estimates[begun:]) < 0.05
@@ -136,9 +136,7 @@ def test_the_origin_of_the_clock_makes_no_difference(make_flight: MakeFlight, re
 
 
 @pytest.mark.parametrize("every", [2, 3])
-def test_frames_without_image_between_others_change_neither_start_nor_health(
-    make_flight: MakeFlight, every: int
-) -> None:
+def test_missing_images_change_neither_start_nor_health(make_flight: MakeFlight, every: int) -> None:
     """As where each image comes several times and the copies are left out."""
     flight = make_flight(0, rest_s=IN_MOTION, duration_s=8.0)
     count = len(flight.frame_times_ns)

@@ -23,7 +23,7 @@ def test_frames_of_a_later_exposure_wait() -> None:
     assert processed(queue, 2, 8) == [[], [], [], [2], [3], [4]]
 
 
-def test_frames_of_an_earlier_exposure_are_left_out_up_to_the_last_one() -> None:
+def test_frames_exposed_before_the_last_one_are_left_out() -> None:
     queue = FrameQueue()
     processed(queue, 0, 2)
     queue.shift(-0.12)

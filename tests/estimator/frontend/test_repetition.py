@@ -63,7 +63,7 @@ def test_rotations_add_up_while_an_image_is_shown() -> None:
     assert not images.repeats  # rotations count from the new image on
 
 
-def test_copies_are_left_out_while_the_vehicle_moves_without_rotation() -> None:
+def test_copies_are_left_out_in_motion_without_rotation() -> None:
     images, frame = RepetitionFilter(), CameraFrame(0, (LEFT, RIGHT))
     assert images.filtered(frame, REST, 0.0, moves=True) is frame
     assert all(image is NO_IMAGE for image in images.filtered(frame, REST, 0.0, moves=True).images)
