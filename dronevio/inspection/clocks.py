@@ -46,7 +46,7 @@ def clock_findings(measured: Measured) -> Iterator[Finding]:
         "steps of the offset",
         course.step_s if stepped else 0.0,
         graded(abs(course.step_s), DOUBTFUL_STEP_S, 0.05) if stepped else Verdict.GOOD,
-        f"the camera's clock steps by {_milliseconds(-course.step_s)} against the IMU's at {course.step_at_s:.1f} s"
+        f"from {course.step_at_s:.1f} s on, the stamps of the images are {_milliseconds(course.step_s)}"
         if stepped
         else f"none in {len(course.t_s)} sections",
         "one offset for the whole recording",

@@ -33,7 +33,9 @@ def defect_findings(measured: Measured, source: Recording) -> Iterator[Finding]:
         total = len(recording.imu) if of_imu else len(recording.frame_times_ns)
         share = each.count / max(total, 1)
         verdict = graded(share, FEW if each.kind is DefectKind.FRAME_WITHOUT_IMU else 0.0, MAX_SHARE)
-        if any(word in name for word in _CLOCK_WORDS):
+        portion = f", {100 * share:.1f} %"
+        if any(word in name for word in _CLOCK_WORDS):  # of several sensors, so that there is no share
+            portion = ""
             topic, verdict = Topic.CLOCKS, Verdict.DOUBTFUL
         else:
             topic = Topic.IMU if of_imu else Topic.CAMERAS
@@ -42,7 +44,7 @@ def defect_findings(measured: Measured, source: Recording) -> Iterator[Finding]:
             name,
             float(each.count),
             verdict,
-            f"{each.count}, {100 * share:.1f} % ({each.kind.treatment}); first: {each.first}",
+            f"{each.count}{portion} ({each.kind.treatment}); first: {each.first}",
             "none",
             "" if verdict is Verdict.GOOD else _advice(each.kind),
         )

@@ -65,7 +65,9 @@ def _inspection(measured: Measured, run: EstimatorRun | None, source: Recording)
     rest_ns = tuple(resting(imu, bias))
     rest = [_between(imu, *each) for each in rest_ns]
     longest = max(rest, key=len, default=None)
-    details = Details(measured, rest_ns, spectrum_of(imu), None if longest is None else allan_deviation(longest), run)
+    details = Details(
+        measured, rest_ns, spectrum_of(measured.sound_imu), None if longest is None else allan_deviation(longest), run
+    )
     findings = [
         *camera_findings(measured),
         *imu_findings(measured, rest, details.spectrum, details.allan),

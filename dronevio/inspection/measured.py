@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.imu.outliers import outlying_samples
 from dronevio.inspection.appearance import Appearance, appearance_of
 from dronevio.inspection.flow import Flow, flow_between, rotation_of
 from dronevio.inspection.lens import LensCheck, changed_flow, check_lens
@@ -15,6 +16,7 @@ from dronevio.inspection.relation import Gyroscope, Relation, Rotations, played_
 from dronevio.inspection.sampling import sampled_runs
 from dronevio.inspection.stereo import StereoCheck, check_stereo
 from dronevio.models.defects import Defect
+from dronevio.models.imu import ImuSamples
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Recording
 from dronevio.models.rotation import log_so3
@@ -66,6 +68,8 @@ class Measured:
 
     recording: Recording
     """The recording."""
+    sound_imu: ImuSamples
+    """Its IMU samples without outliers."""
     sample: ImageSample
     """What the sampled frames show."""
     gyroscope: Gyroscope | None
@@ -97,7 +101,9 @@ def measure(recording: Recording, progress: Progress = silent) -> Measured:
         progress: Called with the number of frames that were looked at.
     """
     sample = _sampled(recording, progress)
-    gyroscope = Gyroscope(recording.imu) if len(recording.imu) > 1 else None
+    imu, outlying = recording.imu, outlying_samples(recording.imu, recording.rig.imu)
+    sound = ImuSamples(imu.t_ns[~outlying], imu.gyro_rad_s[~outlying], imu.accel_m_s2[~outlying], imu.sampling)
+    gyroscope = Gyroscope(sound) if len(sound) > 1 else None
     rotations, relation, backwards, course, lens = _rotations(sample.flows), None, 0.0, None, None
     if gyroscope is not None and len(rotations):
         relation = relate(rotations, gyroscope)
@@ -120,7 +126,7 @@ def measure(recording: Recording, progress: Progress = silent) -> Measured:
         check_stereo(flows, recording.rig.cameras[0], camera)
         for flows, camera in zip(sample.stereo, recording.rig.cameras[1:], strict=True)
     )
-    return Measured(recording, sample, gyroscope, rotations, relation, backwards, course, lens, checks)
+    return Measured(recording, sound, sample, gyroscope, rotations, relation, backwards, course, lens, checks)
 
 
 def _lens(

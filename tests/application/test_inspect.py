@@ -113,7 +113,7 @@ def test_relation_resists_wrong_rotations_of_some_images() -> None:
     assert found.weights[::4].mean() < 0.2 < 0.6 < found.weights[1::4].mean()
 
 
-def test_measurements_of_other_flights_do_not_agree_and_reversed_ones_agree_backwards() -> None:
+def test_other_flights_and_reversed_images_do_not_agree() -> None:
     imu, other = imu_of(tumbling), imu_of(lambda t: tumbling(1.7 * t + 40.0))
     rotations = rotations_of(imu, R_CAM_IMU)
     crossed = relate(rotations, Gyroscope(other))
@@ -124,7 +124,7 @@ def test_measurements_of_other_flights_do_not_agree_and_reversed_ones_agree_back
     assert again is not None and again.agreement > 0.999
 
 
-def test_relation_about_one_axis_knows_that_the_rotation_is_uncertain() -> None:
+def test_rotation_about_one_axis_is_known_to_be_uncertain() -> None:
     imu = imu_of(lambda t: (0.0 * t, 0.0 * t, 0.8 * np.sin(1.1 * t)))
     found = relate(rotations_of(imu, R_CAM_IMU), Gyroscope(imu))
     assert found is not None and found.agreement > 0.99
@@ -250,7 +250,7 @@ def levelled(imu: ImuSamples, axes: Any) -> ImuSamples:
     return replace(imu, accel_m_s2=(np.swapaxes(R, 1, 2) @ [0.0, 0.0, 9.81]) @ np.asarray(axes, np.float64).T)
 
 
-def test_axes_of_the_accelerometer_are_those_for_which_gravity_stays() -> None:
+def test_axes_of_the_accelerometer_keep_gravity() -> None:
     right = levelled(imu_of(tumbling), np.eye(3))
     spread = spread_of_axes(right, np.zeros(3))
     assert spread[0] == pytest.approx(0.0, abs=0.02) and np.sort(spread)[2] > 1.0  # all reversed is as good
@@ -274,7 +274,7 @@ def test_rest_is_found_where_the_rate_is_that_of_the_bias() -> None:
     assert resting(imu_of(tumbling), np.zeros(3)) == []
 
 
-def test_spectrum_and_allan_deviation_have_the_power_of_the_signal() -> None:
+def test_spectrum_and_allan_deviation_have_the_right_power() -> None:
     still = imu_of(lambda t: (0.0 * t, 0.0 * t, 0.0 * t), noise=0.02)
     wave = 15.0 * np.sin(2.0 * np.pi * 87.0 * np.arange(len(still)) / RATE_HZ)
     shaken = replace(still, accel_m_s2=still.accel_m_s2 + wave[:, None] * [0.0, 0.6, 0.8])
