@@ -21,6 +21,7 @@ from dronevio.sim.cameras import camera as camera_module
 from dronevio.sim.cameras import views
 from dronevio.sim.cameras.camera import GreyImage, OffscreenCamera
 from dronevio.sim.cameras.surfaces import Flow, points_in_camera
+from dronevio.sim.cameras.views import Views
 
 Array = npt.NDArray[np.float64]
 
@@ -85,6 +86,12 @@ def test_rendered_points_agree_with_the_camera_model(camera: CameraModel, tolera
     off = np.linalg.norm(detected_centroids(image, expected) - expected, axis=1)
     assert off.max() < tolerance_px
     assert np.median(off) < 0.4 * tolerance_px
+
+
+def test_a_lens_is_rendered_with_the_resolution_of_its_centre() -> None:
+    """That of ``omni`` is a fraction of its focal length: (1 + ξ) times as many pixels would be wasted."""
+    camera = CameraModel(320, 240, 520.0, 520.0, 159.5, 119.5, (1.6, 0.0, 0.0, 0.0, 0.0), "omni")
+    np.testing.assert_allclose(Views.around(camera, 1.5).views[0].f, 1.5 * 200.0)
 
 
 @pytest.mark.parametrize("name", ["pinhole-stereo", "euroc-stereo", "fisheye-stereo"])
