@@ -1,6 +1,6 @@
 """Inspect a recording altered in one property at a time, and sound ones, and tabulate what `dronevio inspect` says.
 
-An alteration is named if a row that is about it is doubtful or wrong. Of a sound recording, no row may be::
+An alteration is named if a row that is about it is not good. Of a sound recording, all rows must be good::
 
     python scripts/inspected_recordings.py MH_01_easy --other runs/room --sound MH_01_easy runs/room
 """
