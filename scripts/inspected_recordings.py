@@ -1,6 +1,6 @@
 """Inspect a recording altered in one property at a time, and sound ones, and tabulate what `dronevio inspect` says.
 
-An alteration is named if a row that is about it is doubtful or wrong. Of a sound recording, no row may be::
+An alteration is named if a row that is about it is not good. Of a sound recording, all rows must be good::
 
     python scripts/inspected_recordings.py MH_01_easy --other runs/room --sound MH_01_easy runs/room
 """
@@ -204,7 +204,7 @@ def label(finding: Finding) -> str:
 
 def row_of(name: str, expected: Sequence[str], found: Inspection) -> tuple[str, ...]:
     """Return the row of an alteration: whether it is named, and by which rows."""
-    raised = [finding for finding in found.findings if finding.verdict in (Verdict.DOUBTFUL, Verdict.WRONG)]
+    raised = [finding for finding in found.findings if finding.verdict in (Verdict.SUSPECT, Verdict.WRONG)]
     # A bit depth is named, and is no defect, since the reader scales the images.
     naming = [f for f in found.findings if label(f) in expected and (f in raised or f.name == "bit depth")]
     print(f"{name}: {'named' if naming else 'not named'}", file=sys.stderr, flush=True)
@@ -253,7 +253,7 @@ def main(command: InspectedCommand) -> int:
     for path in command.sound:
         found = inspect(path)
         raised = [
-            f"{f.topic} {f.name}: {f.found}" for f in found.findings if f.verdict in (Verdict.DOUBTFUL, Verdict.WRONG)
+            f"{f.topic} {f.name}: {f.found}" for f in found.findings if f.verdict in (Verdict.SUSPECT, Verdict.WRONG)
         ]
         unknown = sum(f.verdict is Verdict.UNKNOWN for f in found.findings)
         sound.append((found.name, str(len(found.findings)), str(unknown), str(len(raised)), "; ".join(raised) or "–"))

@@ -19,8 +19,8 @@ class InspectCommand:
     """Tell what a recording holds, whether the odometry will work on it, and what to do if not.
 
     Images, IMU, clocks, calibration, motion and ground truth are checked without a run of the odometry: about 240
-    frames in runs spread over the recording, and all IMU samples and time stamps. Each row of the table is good,
-    doubtful or wrong, with what was found, what is expected and what to do; the page has plots beside. With --run, the
+    frames in runs spread over the recording, and all IMU samples and time stamps. Each row of the table has
+    a verdict, with what was found and what to do; the page has what is expected, and plots, beside. With --run, the
     odometry estimates the first 30 s as well.
 
     The exit code is 0 whatever is found. With --strict, it is 1 if a row is wrong.

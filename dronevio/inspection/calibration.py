@@ -12,7 +12,7 @@ from dronevio.models.rotation import log_so3
 
 Array = npt.NDArray[np.float64]
 
-DOUBTFUL_ROTATION_DEG, WRONG_ROTATION_DEG = 3.0, 8.0
+SUSPECT_ROTATION_DEG, WRONG_ROTATION_DEG = 3.0, 8.0
 """Error of the mounting beyond that of a bad mount, and one that the online calibration does not undo [°]."""
 SIGMAS = 4.0
 """Number of standard deviations by which a rotation must differ."""
@@ -20,12 +20,12 @@ MAX_SIGMA_DEG = 10.0
 """Largest standard deviation of a rotation that is stated [°]; more is a flight that turns about one axis."""
 MIRROR_DEG = 12.0
 """Largest deviation from half a turn that is taken for mirrored images [°]."""
-DOUBTFUL_LENS_PX, WRONG_LENS_PX = 6.0, 20.0
+SUSPECT_LENS_PX, WRONG_LENS_PX = 6.0, 20.0
 """Displacement of features by the lens that agrees better: calibrated lenses err by less than the first near the
 border, and the second is 5 % of a focal length of 400 px."""
 MIN_COST_RATIO = 1.3
 """How much worse a lens must agree with the motion than a changed one; noise and gyroscope explain a few percent."""
-DOUBTFUL_EPIPOLAR_PX, WRONG_EPIPOLAR_PX = 1.5, 5.0
+SUSPECT_EPIPOLAR_PX, WRONG_EPIPOLAR_PX = 1.5, 5.0
 """Distance from the epipolar line beyond which the odometry refuses matches, and one that nothing corrects."""
 MAX_BEHIND = 0.3
 """Share of points behind a camera that wrong matches explain."""
@@ -44,13 +44,13 @@ def calibration_findings(measured: Measured) -> Iterator[Finding]:
 def _lens(measured: Measured) -> Finding:
     """Return whether the first lens agrees with the motion."""
     lens, camera = measured.lens, measured.recording.rig.cameras[0].model
-    expected = f"a lens that moves features by less than {DOUBTFUL_LENS_PX:g} px agrees best with motion and gyroscope"
+    expected = f"a lens that moves features by less than {SUSPECT_LENS_PX:g} px agrees best with motion and gyroscope"
     name = "lens of cam0"
     if lens is None:
         why = "images and gyroscope do not agree, or too few turn"
         return Finding(Topic.CALIBRATION, name, None, Verdict.UNKNOWN, why, expected)
     wrong = lens.cost_ratio > MIN_COST_RATIO
-    verdict = graded(lens.change_px, DOUBTFUL_LENS_PX, WRONG_LENS_PX) if wrong else Verdict.GOOD
+    verdict = graded(lens.change_px, SUSPECT_LENS_PX, WRONG_LENS_PX) if wrong else Verdict.GOOD
     if verdict is Verdict.GOOD:
         found = f"{camera.lens}, f = {camera.fx:.0f} px: no lens that differs clearly agrees better with the motion"
         return Finding(Topic.CALIBRATION, name, lens.change_px, verdict, found, expected)
@@ -69,7 +69,7 @@ def _lens(measured: Measured) -> Finding:
 def _rotation(measured: Measured) -> Iterator[Finding]:
     """Yield whether axes are reflected, and whether the rotation between camera and IMU is the calibrated one."""
     relation, name = measured.relation, "rotation of camera and IMU"
-    expected = f"within {DOUBTFUL_ROTATION_DEG:g}° of the rotation that the motion shows, the error of a bad mount"
+    expected = f"within {SUSPECT_ROTATION_DEG:g}° of the rotation that the motion shows, the error of a bad mount"
     course = measured.course
     stepped = course is not None and course.step_is_significant
     if relation is None or not (measured.belongs or stepped):
@@ -103,7 +103,7 @@ def _rotation(measured: Measured) -> Iterator[Finding]:
         return
     difference = angle_deg(error)
     lens_is_wrong = measured.lens is not None and measured.lens.cost_ratio > MIN_COST_RATIO
-    limit = max(DOUBTFUL_ROTATION_DEG * (2.0 if lens_is_wrong else 1.0), SIGMAS * sigma_deg)
+    limit = max(SUSPECT_ROTATION_DEG * (2.0 if lens_is_wrong else 1.0), SIGMAS * sigma_deg)
     verdict = graded(difference, limit, max(WRONG_ROTATION_DEG, limit))
     x, y, z = np.degrees(log_so3(R_cam_imu.T)).tolist()
     found = (
@@ -134,14 +134,14 @@ def _stereo(index: int, check: StereoCheck | None) -> Iterator[Finding]:
     """Yield whether a further camera agrees with the first one."""
     name, expected = (
         f"pose of cam{index} and cam0",
-        f"matches within {DOUBTFUL_EPIPOLAR_PX:g} px of their epipolar lines",
+        f"matches within {SUSPECT_EPIPOLAR_PX:g} px of their epipolar lines",
     )
     if check is None:
         why = "no view in common, or too few features"
         yield Finding(Topic.CALIBRATION, name, None, Verdict.UNKNOWN, why, expected)
         return
     swapped = check.behind > MAX_BEHIND
-    verdict = graded(check.error_px, DOUBTFUL_EPIPOLAR_PX, WRONG_EPIPOLAR_PX)
+    verdict = graded(check.error_px, SUSPECT_EPIPOLAR_PX, WRONG_EPIPOLAR_PX)
     verdict = more_severe(verdict, Verdict.WRONG if swapped else Verdict.GOOD)
     found = f"{check.error_px:.2f} px (median of {check.matches} matches)"
     if verdict is not Verdict.GOOD:

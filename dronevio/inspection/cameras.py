@@ -17,21 +17,21 @@ MIN_RATE_HZ = 5.0
 """At a lower rate, a drone that turns by 60 °/s shows other things in each image: no feature is seen three times."""
 GAP_INTERVALS = 1.5
 """An interval is a gap if it is longer than this many median intervals: an image is missing."""
-DOUBTFUL_GAP_S, WRONG_GAP_S = 0.5, 3.0
+SUSPECT_GAP_S, WRONG_GAP_S = 0.5, 3.0
 """After half a second most features have left the image of a moving drone; the IMU alone errs by metres after three."""
 MAX_MISSING = 0.1
 """Share of missing images at which the rate of the camera is no longer what it seems to be."""
 MAX_JITTER_PX = 1.0
 """Movement of the image within the jitter of the stamps that is as large as the error of a feature [px]."""
-DOUBTFUL_SPREAD, WRONG_SPREAD = 40.0, 16.0
+SUSPECT_SPREAD, WRONG_SPREAD = 40.0, 16.0
 """Contrast at which rounding to whole grey levels is 1 % and 2 % of it, so that weak corners drown [grey levels]."""
 MAX_CLIPPED = 1.0 / 3.0
 """Share of clipped pixels at which a third of the field of view holds no features."""
-DOUBTFUL_BLUR_PX, WRONG_BLUR_PX = 2.0, 4.0
+SUSPECT_BLUR_PX, WRONG_BLUR_PX = 2.0, 4.0
 """Width of edges beyond the 5 px in which a corner is found, and beyond the 15 px patch that is followed (±2σ)."""
-DOUBTFUL_REPEATED = 0.1
+SUSPECT_REPEATED = 0.1
 """Share of repeated images up to which leaving them out costs little."""
-DOUBTFUL_TRACKED, WRONG_TRACKED = 50.0, 20.0
+SUSPECT_TRACKED, WRONG_TRACKED = 50.0, 20.0
 """Features that are followed to the next image: three unknowns of each and six of a frame leave half of them to check
 the rest; with a few, chance decides."""
 MAX_FLOW_SHARE = 0.1
@@ -92,7 +92,7 @@ def _stamps(measured: Measured) -> Iterator[Finding]:
         Topic.CAMERAS,
         "rate",
         rate,
-        Verdict.GOOD if rate >= MIN_RATE_HZ else Verdict.DOUBTFUL,
+        Verdict.GOOD if rate >= MIN_RATE_HZ else Verdict.SUSPECT,
         f"{rate:.2f} Hz over {(t_ns[-1] - t_ns[0]) * 1e-9:.1f} s",
         f"{MIN_RATE_HZ:g} Hz or more, so that a feature is seen several times",
         "" if rate >= MIN_RATE_HZ else "record at 15 Hz or more",
@@ -101,7 +101,7 @@ def _stamps(measured: Measured) -> Iterator[Finding]:
     missing = int(np.sum(np.rint(intervals_s[gaps] / median_s) - 1.0))
     longest = float(intervals_s.max())
     share = missing / (missing + len(t_ns))
-    verdict = more_severe(graded(longest, DOUBTFUL_GAP_S, WRONG_GAP_S), graded(share, MAX_MISSING, 0.5))
+    verdict = more_severe(graded(longest, SUSPECT_GAP_S, WRONG_GAP_S), graded(share, MAX_MISSING, 0.5))
     at_s = (t_ns[int(np.argmax(intervals_s))] - t_ns[0]) * 1e-9
     yield Finding(
         Topic.CAMERAS,
@@ -111,7 +111,7 @@ def _stamps(measured: Measured) -> Iterator[Finding]:
         f"images missing: {missing}; gaps: {int(gaps.sum())}, the longest of {longest:.2f} s at {at_s:.1f} s"
         if missing
         else "none",
-        f"no gap beyond {DOUBTFUL_GAP_S:g} s, after which a moving camera sees other features, and at most"
+        f"no gap beyond {SUSPECT_GAP_S:g} s, after which a moving camera sees other features, and at most"
         f" {100 * MAX_MISSING:.0f} % missing",
         ""
         if verdict is Verdict.GOOD
@@ -143,7 +143,7 @@ def _appearance(measured: Measured) -> Iterator[Finding]:
     names = [f"cam{k}" for k in range(len(measured.sample.appearance))]
     means, spreads, clipped, blurs = np.array([_medians(each) for each in measured.sample.appearance]).T.tolist()
     worst = int(np.nanargmin(spreads))
-    verdict = graded(-spreads[worst], -DOUBTFUL_SPREAD, -WRONG_SPREAD)
+    verdict = graded(-spreads[worst], -SUSPECT_SPREAD, -WRONG_SPREAD)
     dark = "dark" if means[worst] < 64 else "pale"
     yield Finding(
         Topic.CAMERAS,
@@ -152,7 +152,7 @@ def _appearance(measured: Measured) -> Iterator[Finding]:
         verdict,
         f"mean grey level {means[worst]:.0f}, contrast {spreads[worst]:.0f} of 255"
         + ("" if verdict is Verdict.GOOD else f" in {names[worst]}: {dark} images"),
-        f"a contrast of {DOUBTFUL_SPREAD:.0f} or more, of which rounding to grey levels is below 1 %",
+        f"a contrast of {SUSPECT_SPREAD:.0f} or more, of which rounding to grey levels is below 1 %",
         ""
         if verdict is Verdict.GOOD
         else "expose longer or with more gain; images of 10 to 14 bits stored as 16 bits need scaling",
@@ -171,14 +171,14 @@ def _appearance(measured: Measured) -> Iterator[Finding]:
     )
     if np.isfinite(blurs).any():
         worst = int(np.nanargmax(blurs))
-        verdict = graded(blurs[worst], DOUBTFUL_BLUR_PX, WRONG_BLUR_PX)
+        verdict = graded(blurs[worst], SUSPECT_BLUR_PX, WRONG_BLUR_PX)
         yield Finding(
             Topic.CAMERAS,
             "blur",
             blurs[worst],
             verdict,
             f"edges are {blurs[worst]:.1f} px wide (σ)" + (f" in {names[worst]}" if len(names) > 1 else ""),
-            f"less than {DOUBTFUL_BLUR_PX:g} px, so that a corner fits into the 5 px in which it is found",
+            f"less than {SUSPECT_BLUR_PX:g} px, so that a corner fits into the 5 px in which it is found",
             ""
             if verdict is Verdict.GOOD
             else "focus the lens, clean it, or expose for a shorter time; a smaller image may do as well",
@@ -204,7 +204,7 @@ def _repeated(measured: Measured) -> Finding:
     most = max((sum(camera == k for camera, _ in found) for k in range(len(sample.repeated))), default=0)
     share = most / max(sample.compared, 1)
     at_rest = sum(map(len, sample.repeated)) - len(found)
-    verdict = Verdict.GOOD if not found else graded(share, 0.0, DOUBTFUL_REPEATED)
+    verdict = Verdict.GOOD if not found else graded(share, 0.0, SUSPECT_REPEATED)
     start_s = (min(t for _, t in found) - int(measured.recording.frame_times_ns[0])) * 1e-9 if found else 0.0
     text = f"{100 * share:.0f} % of the images equal the one before while the drone turns, from {start_s:.1f} s on"
     return Finding(
@@ -236,14 +236,14 @@ def _features(measured: Measured) -> Iterator[Finding]:
         return
     tracked = float(np.median([len(flow.pixels[0]) for flow in flows]))
     corners = float(np.median([flow.corners for flow in flows]))
-    verdict = graded(-tracked, -DOUBTFUL_TRACKED, -WRONG_TRACKED)
+    verdict = graded(-tracked, -SUSPECT_TRACKED, -WRONG_TRACKED)
     yield Finding(
         Topic.CAMERAS,
         "features",
         tracked,
         verdict,
         f"{tracked:.0f} of {corners:.0f} corners are found again in the next image (medians)",
-        f"{DOUBTFUL_TRACKED:.0f} or more, so that each can be checked by the others",
+        f"{SUSPECT_TRACKED:.0f} or more, so that each can be checked by the others",
         "" if verdict is Verdict.GOOD else "the scene has little texture, or the images are dark or blurred",
     )
     moved = np.array([flow.median_px for flow in flows])

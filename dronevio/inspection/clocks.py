@@ -7,9 +7,9 @@ from dronevio.inspection.model import Finding, Topic, Verdict, graded
 
 MIN_ROTATION_RAD_S = 0.03
 """Rotation below which the error of the images, a tenth of a pixel in 50 ms, is a tenth of it [rad/s]."""
-DOUBTFUL_OFFSET_S, WRONG_OFFSET_S = 0.005, 0.2
+SUSPECT_OFFSET_S, WRONG_OFFSET_S = 0.005, 0.2
 """Offset at which the image of a drone that turns by 1 rad/s moves by two pixels, and one that no camera has."""
-DOUBTFUL_STEP_S = 0.003
+SUSPECT_STEP_S = 0.003
 """Change of the offset at which the image of a drone that turns by 1 rad/s moves by a pixel."""
 SIGMAS = 4.0
 """Number of standard deviations by which an offset must differ from the calibrated one."""
@@ -27,7 +27,7 @@ def clock_findings(measured: Measured) -> Iterator[Finding]:
         return
     calibrated_s = calibrated_offset_s(measured.recording)
     difference_s = abs(relation.offset_s - calibrated_s)
-    verdict = graded(difference_s, max(DOUBTFUL_OFFSET_S, SIGMAS * relation.offset_sigma_s), WRONG_OFFSET_S)
+    verdict = graded(difference_s, max(SUSPECT_OFFSET_S, SIGMAS * relation.offset_sigma_s), WRONG_OFFSET_S)
     yield Finding(
         Topic.CLOCKS,
         "time offset",
@@ -35,7 +35,7 @@ def clock_findings(measured: Measured) -> Iterator[Finding]:
         verdict,
         f"images are {_milliseconds(relation.offset_s)} ± {1e3 * relation.offset_sigma_s:.1f} ms against the IMU;"
         f" the calibration states {1e3 * calibrated_s:+.1f} ms",
-        f"within {1e3 * DOUBTFUL_OFFSET_S:g} ms of the calibration, two pixels at 1 rad/s",
+        f"within {1e3 * SUSPECT_OFFSET_S:g} ms of the calibration, two pixels at 1 rad/s",
         "" if verdict is Verdict.GOOD else f"set the time offset (timeshift_cam_imu) to {relation.offset_s:+.4f} s",
     )
     if course is None:
@@ -45,7 +45,7 @@ def clock_findings(measured: Measured) -> Iterator[Finding]:
         Topic.CLOCKS,
         "steps of the offset",
         course.step_s if stepped else 0.0,
-        graded(abs(course.step_s), DOUBTFUL_STEP_S, 0.05) if stepped else Verdict.GOOD,
+        graded(abs(course.step_s), SUSPECT_STEP_S, 0.05) if stepped else Verdict.GOOD,
         f"from {course.step_at_s:.1f} s on, the stamps of the images are {_milliseconds(course.step_s)}"
         if stepped
         else f"none in {len(course.t_s)} sections",
@@ -59,13 +59,13 @@ def clock_findings(measured: Measured) -> Iterator[Finding]:
         Topic.CLOCKS,
         "drift of the offset",
         course.drift,
-        Verdict.DOUBTFUL if drifts and change_s > DOUBTFUL_STEP_S else Verdict.GOOD,
+        Verdict.SUSPECT if drifts and change_s > SUSPECT_STEP_S else Verdict.GOOD,
         f"{1e6 * course.drift:+.0f} ± {1e6 * course.drift_sigma:.0f} ppm, {1e3 * change_s:.1f} ms in {duration_s:.0f} s"
         if drifts
         else f"none beyond the {1e6 * SIGMAS * course.drift_sigma:.0f} ppm that can be told"
         if not stepped
         else "not told beside a step",
-        f"a change of less than {1e3 * DOUBTFUL_STEP_S:g} ms, a pixel at 1 rad/s",
+        f"a change of less than {1e3 * SUSPECT_STEP_S:g} ms, a pixel at 1 rad/s",
         f"stamp both on one clock, or multiply the times of the images by {1.0 + course.drift:.6f}" if drifts else "",
     )
 
@@ -88,7 +88,7 @@ def _belonging(measured: Measured) -> Finding:
     elif measured.course is not None and measured.course.step_is_significant:
         found += " at one offset; see the steps of the offset"
         advice = "see the steps of the offset"
-        return Finding(Topic.CLOCKS, name, relation.agreement, Verdict.DOUBTFUL, found, expected, advice)
+        return Finding(Topic.CLOCKS, name, relation.agreement, Verdict.SUSPECT, found, expected, advice)
     else:
         advice = "images and IMU are of different flights, or their clocks differ by more than a second, or the lens is"
         advice += " another one"

@@ -36,7 +36,7 @@ def defect_findings(measured: Measured, source: Recording) -> Iterator[Finding]:
         portion = f", {100 * share:.1f} %"
         if any(word in name for word in _CLOCK_WORDS):  # of several sensors, so that there is no share
             portion = ""
-            topic, verdict = Topic.CLOCKS, Verdict.DOUBTFUL
+            topic, verdict = Topic.CLOCKS, Verdict.SUSPECT
         else:
             topic = Topic.IMU if of_imu else Topic.CAMERAS
         yield Finding(

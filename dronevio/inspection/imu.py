@@ -27,7 +27,7 @@ MAX_RATE_RATIO = 1.2
 """Ratio of the calibrated rate to the found one from which on samples are left out rather than the clock being off."""
 MAX_JITTER = 0.2
 """Jitter of the stamps relative to the interval; more is that of a bus or an operating system, not of the sensor."""
-DOUBTFUL_GAP_S, WRONG_GAP_S = 0.1, 1.0
+SUSPECT_GAP_S, WRONG_GAP_S = 0.1, 1.0
 """Over a gap, an acceleration of 1 m/s² that is not measured displaces by 5 mm after 0.1 s and by 0.5 m after 1 s."""
 MAX_CLIPPED = 1e-3
 """Share of clipped samples beyond which the motion is often not measured."""
@@ -83,13 +83,13 @@ def _stamps(measured: Measured) -> Iterator[Finding]:
     median_s, mean_s = float(np.median(intervals_s)), float(intervals_s[intervals_s < 1.0].mean())
     rate = 1.0 / median_s
     ratio = nominal_hz / rate
-    verdict = Verdict.GOOD if 1.0 / MAX_RATE_RATIO < ratio < MAX_RATE_RATIO else Verdict.DOUBTFUL
+    verdict = Verdict.GOOD if 1.0 / MAX_RATE_RATIO < ratio < MAX_RATE_RATIO else Verdict.SUSPECT
     left_out = f", 1 of {ratio:.0f} samples" if ratio > 1.5 else ""
     found = f"{rate:.1f} Hz"
-    if verdict is Verdict.DOUBTFUL:
+    if verdict is Verdict.SUSPECT:
         found += f"; the calibration states {nominal_hz:g} Hz{left_out and ': only' + left_out[1:]}"
     if rate < MIN_RATE_HZ:
-        verdict = Verdict.DOUBTFUL
+        verdict = Verdict.SUSPECT
     yield Finding(
         Topic.IMU,
         "rate",
@@ -103,7 +103,7 @@ def _stamps(measured: Measured) -> Iterator[Finding]:
     )
     gaps = intervals_s > IMU_GAP_INTERVALS * median_s
     longest = float(intervals_s.max())
-    verdict = graded(longest, max(DOUBTFUL_GAP_S, IMU_GAP_INTERVALS * median_s), WRONG_GAP_S)
+    verdict = graded(longest, max(SUSPECT_GAP_S, IMU_GAP_INTERVALS * median_s), WRONG_GAP_S)
     verdict = more_severe(verdict, graded(float(gaps.mean()), 0.01, 0.2))
     at_s = (imu.t_ns[int(np.argmax(intervals_s))] - imu.t_ns[0]) * 1e-9
     yield Finding(
@@ -112,7 +112,7 @@ def _stamps(measured: Measured) -> Iterator[Finding]:
         longest,
         verdict,
         f"{int(gaps.sum())} gaps, the longest of {longest:.3f} s at {at_s:.1f} s" if gaps.any() else "none",
-        f"none beyond {DOUBTFUL_GAP_S:g} s, in which 1 m/s² that is not measured displaces by 5 mm",
+        f"none beyond {SUSPECT_GAP_S:g} s, in which 1 m/s² that is not measured displaces by 5 mm",
         "" if verdict is Verdict.GOOD else "look for dropped samples in the driver or the recorder",
     )
     even = intervals_s[~gaps]

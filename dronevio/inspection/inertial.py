@@ -45,7 +45,7 @@ class Spectrum:
     """Power spectral density, summed over the three axes."""
 
     frequency_hz: Array
-    """(F,) Frequencies [Hz]."""
+    """(F,) Frequencies of the densities [Hz]."""
     gyro: Array
     """(F,) Density of the gyroscope [(rad/s)²/Hz]."""
     accel: Array

@@ -33,9 +33,9 @@ class LensCheck:
     """The change of a lens model that agrees best with the motion."""
 
     scale: float
-    """s: factor of all angles from the optical axis."""
+    """Factor s of all angles from the optical axis."""
     cubic: float
-    """k: change of the factor with the squared angle [1/rad²]."""
+    """Change k of the factor with the squared angle [1/rad²]."""
     change_px: float
     """Root mean square displacement of features between the lens and the changed one [px]."""
     cost_ratio: float

@@ -67,7 +67,7 @@ class Measured:
     """A recording with what was measured in it."""
 
     recording: Recording
-    """The recording."""
+    """The recording that was looked at."""
     sound_imu: ImuSamples
     """Its IMU samples without outliers."""
     sample: ImageSample

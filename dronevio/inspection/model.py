@@ -17,7 +17,7 @@ class Verdict(StrEnum):
 
     GOOD = "good"
     """As it should be."""
-    DOUBTFUL = "doubtful"
+    SUSPECT = "doubtful"
     """The odometry can run, and may be less accurate or pause."""
     WRONG = "wrong"
     """The odometry will fail, or its result will be wrong."""
@@ -55,7 +55,7 @@ class Finding:
     value: float | None
     """The property as a number in SI units, or pixels, or a share; None where it is no single number."""
     verdict: Verdict
-    """Judgement."""
+    """Judgement of the property."""
     found: str
     """What was found, in words and with units."""
     expected: str
@@ -118,22 +118,22 @@ class Inspection:
         }
 
 
-def graded(value: float, doubtful: float, wrong: float) -> Verdict:
+def graded(value: float, suspect: float, wrong: float) -> Verdict:
     """Return the verdict on a value that should be small: good up to a limit, wrong beyond another one."""
-    if not value > doubtful:
+    if not value > suspect:
         return Verdict.GOOD
-    return Verdict.WRONG if value > wrong else Verdict.DOUBTFUL
+    return Verdict.WRONG if value > wrong else Verdict.SUSPECT
 
 
 def more_severe(*verdicts: Verdict) -> Verdict:
     """Return the most severe of some verdicts."""
-    return max(verdicts, key=[Verdict.GOOD, Verdict.UNKNOWN, Verdict.DOUBTFUL, Verdict.WRONG].index)
+    return max(verdicts, key=[Verdict.GOOD, Verdict.UNKNOWN, Verdict.SUSPECT, Verdict.WRONG].index)
 
 
 def worst(findings: Sequence[Finding]) -> Verdict:
     """Return the worst verdict of some rows; good without any."""
     found = {finding.verdict for finding in findings}
-    return next((each for each in (Verdict.WRONG, Verdict.DOUBTFUL) if each in found), Verdict.GOOD)
+    return next((each for each in (Verdict.WRONG, Verdict.SUSPECT) if each in found), Verdict.GOOD)
 
 
 def summary_of(findings: Sequence[Finding]) -> str:
@@ -143,6 +143,6 @@ def summary_of(findings: Sequence[Finding]) -> str:
     because = "; ".join(f"{each.topic}, {each.name}: {each.found}" for each in reasons)
     if verdict is Verdict.WRONG:
         return f"will not work as it is: {because}"
-    if verdict is Verdict.DOUBTFUL:
+    if verdict is Verdict.SUSPECT:
         return f"doubtful: {because}"
     return "will work: nothing speaks against it"

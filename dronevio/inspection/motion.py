@@ -28,7 +28,7 @@ def motion_findings(measured: Measured, rest_ns: Sequence[tuple[int, int]]) -> I
         Topic.MOTION,
         "rest",
         total_s,
-        Verdict.DOUBTFUL if always else Verdict.GOOD,
+        Verdict.SUSPECT if always else Verdict.GOOD,
         (f"{total_s:.1f} of {duration_s:.1f} s: {spans}{' …' if len(rest_ns) > 4 else ''}" if rest_ns else "none")
         + ("; it begins at rest" if begins else "; it begins in motion"),
         "any: the odometry starts at rest or in motion",

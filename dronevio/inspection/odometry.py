@@ -20,7 +20,7 @@ from dronevio.models.state import CameraFrame, Health, Trajectory
 
 RUN_S = 30.0
 """Duration of the run [s], from the first frame on."""
-DOUBTFUL_START_S, WRONG_START_S = 6.0, 20.0
+SUSPECT_START_S, WRONG_START_S = 6.0, 20.0
 """Time to the first pose that a start in motion with little parallax takes, and one that is no start."""
 MIN_TRACKING = 0.95
 """Share of the frames after the first pose that are tracked in a sound recording."""
@@ -33,7 +33,7 @@ class Section:
     """The beginning of a recording; is a `Recording`."""
 
     whole: Recording
-    """The recording."""
+    """The recording that begins with it."""
     frames: int
     """Number of frames."""
 
@@ -88,25 +88,25 @@ def odometry_findings(recording: Recording, run: EstimatorRun) -> Iterator[Findi
             None,
             Verdict.WRONG,
             f"no pose in {duration_s:.1f} s{why}",
-            f"a first pose within {DOUBTFUL_START_S:g} s",
+            f"a first pose within {SUSPECT_START_S:g} s",
             "see the rows above that are not good",
         )
         return
     first_s = float(trajectory.t_ns[0] - run.t_ns[0]) * 1e-9
-    verdict = graded(first_s, DOUBTFUL_START_S, WRONG_START_S)
+    verdict = graded(first_s, SUSPECT_START_S, WRONG_START_S)
     yield Finding(
         Topic.ODOMETRY,
         "start",
         first_s,
         verdict,
         f"first pose after {first_s:.2f} s",
-        f"within {DOUBTFUL_START_S:g} s, of rest or of motion with parallax",
+        f"within {SUSPECT_START_S:g} s, of rest or of motion with parallax",
         "" if verdict is Verdict.GOOD else "begin with a second at rest, or move sideways in front of texture",
     )
     after = [estimate for estimate in run.estimates if estimate.t_ns >= trajectory.t_ns[0]]
     counts = Counter(estimate.health for estimate in after)
     share = counts[Health.TRACKING] / len(after)
-    verdict = Verdict.GOOD if share >= MIN_TRACKING else Verdict.DOUBTFUL if share > 0.5 else Verdict.WRONG
+    verdict = Verdict.GOOD if share >= MIN_TRACKING else Verdict.SUSPECT if share > 0.5 else Verdict.WRONG
     warning = f"; {run.warnings[0][1]}" if run.warnings else ""
     yield Finding(
         Topic.ODOMETRY,

@@ -15,7 +15,7 @@ SECTION_PAIRS = 18
 MAX_SECTIONS = 12
 """Largest number of sections."""
 MIN_EXPLAINED = 0.8
-"""Smallest share of the variance that the gyroscope explains in a section whose offset is believed."""
+"""Smallest share of the variance that the gyroscope explains in a section whose offset is used."""
 MAX_SIGMA_S = 0.005
 """Largest standard deviation of such an offset [s]."""
 MIN_SIDE = 2
@@ -111,9 +111,9 @@ def _section(rotations: Rotations, gyroscope: Gyroscope, relation: Relation) -> 
     offset_s = float(relation.offsets_s[np.argmin(costs)])
     for step in (COARSE_STEP_S, 0.2 * COARSE_STEP_S):
         low, mid, high = misfits(offset_s + step * np.array([-1.0, 0.0, 1.0])).tolist()
-        bend = low - 2.0 * mid + high
-        if np.isfinite(bend) and bend > 0.0:
-            offset_s += step * float(np.clip(0.5 * (low - high) / bend, -1.0, 1.0))
+        curvature = low - 2.0 * mid + high
+        if np.isfinite(curvature) and curvature > 0.0:
+            offset_s += step * float(np.clip(0.5 * (low - high) / curvature, -1.0, 1.0))
     near = relation.predicted(gyroscope.rates_at(rotations, offset_s + COARSE_STEP_S * np.array([-1.0, 0.0, 1.0])))
     earlier, predicted, later = near
     residual = measured - predicted

@@ -18,7 +18,7 @@ _HEIGHT_IN = 2.6
 
 HEADLINES = {
     Verdict.GOOD: "Will work",
-    Verdict.DOUBTFUL: "Doubtful",
+    Verdict.SUSPECT: "Doubtful",
     Verdict.WRONG: "Will not work as it is",
 }
 """Headline of the page by the worst verdict."""
@@ -31,7 +31,7 @@ class Photograph:
     caption: str
     """Text below the image."""
     jpeg_base64: str
-    """The image."""
+    """The image as JPEG in base64."""
 
 
 def inspection_page(name: str, findings: Sequence[Finding], facts: Mapping[str, object], details: Details) -> str:

@@ -229,9 +229,9 @@ def _refined(first: Rotations, gyroscope: Gyroscope, offset_s: float, weights: A
     for step in (COARSE_STEP_S, 0.2 * COARSE_STEP_S):
         tried = offset_s + step * np.array([-1.0, 0.0, 1.0])
         low, mid, high = _explained(first.rate_rad_s, gyroscope.rates_at(first, tried), weights).tolist()
-        bend = low - 2.0 * mid + high
-        if np.isfinite(bend) and bend < 0.0:
-            offset_s += step * float(np.clip(0.5 * (low - high) / bend, -1.0, 1.0))
+        curvature = low - 2.0 * mid + high
+        if np.isfinite(curvature) and curvature < 0.0:
+            offset_s += step * float(np.clip(0.5 * (low - high) / curvature, -1.0, 1.0))
     return offset_s
 
 

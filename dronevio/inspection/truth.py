@@ -14,9 +14,9 @@ PAIR_S = 0.1
 """Time over which the rotation of the ground truth is compared [s], so that its noise is small beside it."""
 MAX_PAIRS = 600
 """Number of these rotations, spread over the recording."""
-DOUBTFUL_OFFSET_S, WRONG_OFFSET_S = 0.01, 0.2
+SUSPECT_OFFSET_S, WRONG_OFFSET_S = 0.01, 0.2
 """Offset at which a drone of 2 m/s is 2 cm elsewhere, the error of a good estimate, and one that is another clock."""
-DOUBTFUL_ROTATION_DEG, WRONG_ROTATION_DEG = 5.0, 30.0
+SUSPECT_ROTATION_DEG, WRONG_ROTATION_DEG = 5.0, 30.0
 """Rotation between the frames that a marker body on a drone explains, and one that is another convention [°]."""
 MIN_RATE_HZ = 4.0
 """At a lower rate, interpolated positions of a drone that accelerates by 1 m/s² err by a centimetre."""
@@ -35,7 +35,7 @@ def truth_findings(measured: Measured) -> Iterator[Finding]:
     frames = recording.frame_times_ns
     inside = float(np.mean((frames >= truth.t_ns[0]) & (frames <= truth.t_ns[-1]))) if len(frames) else 1.0
     verdict = (
-        Verdict.WRONG if inside == 0.0 else Verdict.DOUBTFUL if inside < 0.5 or rate < MIN_RATE_HZ else Verdict.GOOD
+        Verdict.WRONG if inside == 0.0 else Verdict.SUSPECT if inside < 0.5 or rate < MIN_RATE_HZ else Verdict.GOOD
     )
     yield Finding(
         Topic.TRUTH,
@@ -60,7 +60,7 @@ def truth_findings(measured: Measured) -> Iterator[Finding]:
             Topic.TRUTH,
             "rotation",
             relation.agreement,
-            Verdict.DOUBTFUL,
+            Verdict.SUSPECT,
             f"the gyroscope explains {100 * max(relation.agreement, 0.0):.0f} % of it",
             expected,
             "the ground truth is of another flight or another body, or its orientations are in another order",
@@ -68,10 +68,10 @@ def truth_findings(measured: Measured) -> Iterator[Finding]:
         return
     difference_deg = angle_deg(relation.Q) if not relation.is_reflected else 180.0
     sigma_deg = float(np.degrees(relation.rotation_sigma_rad))
-    told = sigma_deg < 5.0 and not (0.5 < relation.proper_ratio < 2.0)
+    certain = sigma_deg < 5.0 and not (0.5 < relation.proper_ratio < 2.0)
     verdict = Verdict.GOOD
-    if told:
-        limit = max(DOUBTFUL_ROTATION_DEG, SIGMAS * sigma_deg)
+    if certain:
+        limit = max(SUSPECT_ROTATION_DEG, SIGMAS * sigma_deg)
         verdict = graded(difference_deg, limit, max(WRONG_ROTATION_DEG, limit))
     yield Finding(
         Topic.TRUTH,
@@ -79,21 +79,21 @@ def truth_findings(measured: Measured) -> Iterator[Finding]:
         float(np.radians(difference_deg)),
         verdict,
         f"the gyroscope explains {100 * relation.agreement:.1f} % of it"
-        + (f", turned by {difference_deg:.1f} ± {sigma_deg:.1f}°" if told else ""),
+        + (f", turned by {difference_deg:.1f} ± {sigma_deg:.1f}°" if certain else ""),
         expected,
         ""
         if verdict is Verdict.GOOD
         else "the ground truth is that of another body, or the gyroscope's axes are wrong",
     )
     offset_s = relation.offset_s
-    verdict = graded(abs(offset_s), max(DOUBTFUL_OFFSET_S, SIGMAS * relation.offset_sigma_s), WRONG_OFFSET_S)
+    verdict = graded(abs(offset_s), max(SUSPECT_OFFSET_S, SIGMAS * relation.offset_sigma_s), WRONG_OFFSET_S)
     yield Finding(
         Topic.TRUTH,
         "time offset",
         offset_s,
         verdict,
         f"{1e3 * offset_s:+.1f} ± {1e3 * relation.offset_sigma_s:.1f} ms to the IMU",
-        f"less than {1e3 * DOUBTFUL_OFFSET_S:g} ms, 2 cm at 2 m/s",
+        f"less than {1e3 * SUSPECT_OFFSET_S:g} ms, 2 cm at 2 m/s",
         "" if verdict is Verdict.GOOD else f"shift the stamps of the ground truth by {offset_s:+.3f} s",
     )
 

@@ -295,15 +295,15 @@ def finding(verdict: Verdict, name: str = "rate") -> Finding:
 
 
 def test_the_summary_names_the_worst_rows() -> None:
-    good, doubtful, wrong = finding(Verdict.GOOD), finding(Verdict.DOUBTFUL, "gaps"), finding(Verdict.WRONG, "units")
+    good, suspect, wrong = finding(Verdict.GOOD), finding(Verdict.SUSPECT, "gaps"), finding(Verdict.WRONG, "units")
     assert summary_of([good, finding(Verdict.UNKNOWN)]) == "will work: nothing speaks against it"
-    assert summary_of([good, doubtful]) == "doubtful: IMU, gaps: as found"
-    assert summary_of([doubtful, wrong]) == "will not work as it is: IMU, units: as found"
+    assert summary_of([good, suspect]) == "doubtful: IMU, gaps: as found"
+    assert summary_of([suspect, wrong]) == "will not work as it is: IMU, units: as found"
     assert worst([]) is Verdict.GOOD
     assert [graded(value, 1.0, 2.0) for value in (1.0, 1.5, 2.5, float("nan"))] == [
-        Verdict.GOOD, Verdict.DOUBTFUL, Verdict.WRONG, Verdict.GOOD
+        Verdict.GOOD, Verdict.SUSPECT, Verdict.WRONG, Verdict.GOOD
     ]  # fmt: skip
-    assert more_severe(Verdict.UNKNOWN, Verdict.DOUBTFUL, Verdict.GOOD) is Verdict.DOUBTFUL
+    assert more_severe(Verdict.UNKNOWN, Verdict.SUSPECT, Verdict.GOOD) is Verdict.SUSPECT
 
 
 @pytest.fixture(scope="module")
@@ -352,7 +352,7 @@ class Altered:
 
 
 def raised(findings: Any) -> dict[str, Finding]:
-    return {each.name: each for each in findings if each.verdict in (Verdict.DOUBTFUL, Verdict.WRONG)}
+    return {each.name: each for each in findings if each.verdict in (Verdict.SUSPECT, Verdict.WRONG)}
 
 
 def imu_rows(measured: Measured, imu: ImuSamples) -> dict[str, Finding]:
@@ -416,7 +416,7 @@ def test_clocks_and_calibration_are_judged_by_the_relation(measured: Measured) -
 
     assert rows(R_cam_imu) == {}
     late = rows(R_cam_imu, -0.05)["time offset"]
-    assert late.verdict is Verdict.DOUBTFUL and "50.0 ms late" in late.found and "-0.0500 s" in late.advice
+    assert late.verdict is Verdict.SUSPECT and "50.0 ms late" in late.found and "-0.0500 s" in late.advice
     assert rows(R_cam_imu, 0.5)["time offset"].verdict is Verdict.WRONG
     turned = rows(exp_so3(np.radians([0.0, 20.0, 0.0])) @ R_cam_imu)["rotation of camera and IMU"]
     assert turned.verdict is Verdict.WRONG and turned.found.startswith("20.0 ")
@@ -450,7 +450,7 @@ def test_defects_of_the_files_are_rows(flown: Any, tmp_path: Path, capsys: pytes
     assert "Will not work" in out.read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("verdict", [Verdict.GOOD, Verdict.DOUBTFUL, Verdict.WRONG])
+@pytest.mark.parametrize("verdict", [Verdict.GOOD, Verdict.SUSPECT, Verdict.WRONG])
 def test_strict_fails_where_a_row_is_wrong(
     flown: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verdict: Verdict
 ) -> None:
