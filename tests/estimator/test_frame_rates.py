@@ -100,8 +100,9 @@ def test_played_imu_moves_through_a_larger_world(make_flight: MakeFlight, simila
     """Dead reckoning from the true state: the same orientations, and s² times the path."""
     flight, s = make_flight(1, rest_s=-5.0, duration_s=2.0, noisy=False), 1.6
     flight = replace(flight, ground_truth=flight.truth_at(flight.imu.t_ns))
-    played, ends = similarity.similar(flight, s, np.zeros(3)), []
-    for recording in (flight, played):
+    recordings: list[Any] = [flight, similarity.similar(flight, s, np.zeros(3))]
+    ends = []
+    for recording in recordings:
         buffer, truth = ImuBuffer(), recording.ground_truth
         buffer.add(recording.imu)
         buffer.take_until(int(truth.t_ns[0]))
@@ -113,7 +114,8 @@ def test_played_imu_moves_through_a_larger_world(make_flight: MakeFlight, simila
         np.testing.assert_allclose(displacement, truth.p_world_imu[-1] - truth.p_world_imu[0], atol=0.01)
     np.testing.assert_allclose(ends[1][0], ends[0][0], atol=1e-9)
     np.testing.assert_allclose(ends[1][1], s**2 * ends[0][1], rtol=1e-6)
-    np.testing.assert_allclose(played.ground_truth.velocity_m_s, s * flight.ground_truth.velocity_m_s)
+    velocities = [recording.ground_truth.velocity_m_s for recording in recordings]
+    np.testing.assert_allclose(velocities[1], s * velocities[0])
 
 
 def test_played_gyroscope_keeps_its_bias(make_flight: MakeFlight, similarity: Any) -> None:
