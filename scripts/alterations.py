@@ -52,7 +52,7 @@ class Files:
     imu_yaml: dict[str, Any]
     """Contents of ``imu0/sensor.yaml``."""
     cameras: tuple[CameraFiles, ...]
-    """The cameras."""
+    """The files of the cameras."""
     truth: Trajectory
     """Ground truth at its own times."""
     true_t_ns: Callable[[Times, int], Times] = lambda t_ns, _: t_ns

@@ -221,7 +221,7 @@ def test_gravity_can_be_corrected() -> None:
 
 
 def test_frames_without_a_state_change_no_later_state() -> None:
-    """The propagator forgets what it has integrated at such frames, and no later output needs it."""
+    """At such frames, the propagator removes what it has integrated, and no later output needs it."""
     samples, T, v, _ = samples_on_circle(401)
     forgetting, keeping = ImuRatePropagator(EUROC_IMU), ImuRatePropagator(EUROC_IMU)
     for propagator in (forgetting, keeping):

@@ -186,7 +186,7 @@ def test_keyframes_that_leave_together_have_measurements() -> None:
     assert [m is not None and len(m.imu) for m in found] == [2, 0]
 
 
-def test_samples_are_kept_from_before_the_first_keyframe_of_a_track_on() -> None:
+def test_samples_are_kept_from_a_window_before_a_track_on() -> None:
     """Before it, and after a loss, those of the longest window of an initialization suffice; then, all are needed."""
     rig, messages = one_camera(), visual_slam._KeyframeMessages(window_s=3.0)
     noise = PreintegrationParams.of(rig.imu, PreintegrationConfig())
