@@ -13,6 +13,17 @@ from dronevio.models.state import Estimate, FeatureTracks, Health, HealthReport,
 
 Array = npt.NDArray[np.float64]
 
+REPEATED_IMAGES = "the image does not change although the vehicle moves: not used"
+"""Event at the first of several equal images."""
+CONTRADICTION = "images and IMU contradict each other: rotation shows whether the clocks differ"
+"""Reason of a state that is not published although it is certain."""
+MAX_CONTRADICTION_NS = 3_000_000_000
+"""Longest time for which a first state is not published for that reason [ns]: the time that a search for the time offset
+of camera and IMU takes."""
+SAME_REPETITION_NS = 1_000_000_000
+"""Longest time between repeated images that one event states [ns], as where each image comes twice."""
+OUTLYING_SAMPLES = "outlying samples of the IMU: left out"
+"""Event at the first frame after such samples, preceded by their number."""
 MIN_CAUSE_NS = 1_000_000_000
 """Time after which a cause that prevents the initialization becomes an event [ns]. A passing object takes less."""
 
@@ -20,8 +31,8 @@ MIN_CAUSE_NS = 1_000_000_000
 class Publisher:
     """Makes an `Estimate` of the state at each frame.
 
-    After an initialization no state is published before its covariance is small enough; from then on every state is
-    published, until a loss.
+    After an initialization no state is published before its covariance is small enough, and the first one not for some time
+    if images and IMU contradict each other; from then on every state is published, until a loss.
     """
 
     def __init__(self, config: InitializerConfig, imu_rate_hz: float) -> None:
@@ -37,6 +48,8 @@ class Publisher:
         self._cause: tuple[str, int] = ("", 0)  # what prevents the initialization, and its first time [ns]
         self._stated_causes: frozenset[str] = frozenset()
         self._miscalibrated: frozenset[int] = frozenset()  # cameras whose extrinsics are contradicted
+        self._ready_ns: int | None = None  # time of the first state that is certain enough
+        self._repeated_ns: int | None = None  # time of the last frame of which an image was left out
         self._gap: tuple[int, float] = (0, 0.0)  # frames without a break since a gap of the IMU began, its length [s]
 
     @property
@@ -66,7 +79,7 @@ class Publisher:
             landmarks_world: (L, 3) Landmarks that constrain the estimate [m]; only on keyframes.
         """
         if not self._is_publishing:
-            not_ready = not_ready_reason(state, self._config)
+            not_ready = not_ready_reason(state, self._config) or self._contradiction(packet.t_ns, report)
             if not_ready is not None:
                 return self.without_state(packet, str(not_ready), report)
             self._is_publishing, self._cause = True, ("", 0)
@@ -75,6 +88,12 @@ class Publisher:
         return Estimate(
             packet.t_ns, report.health, state, tracks, landmarks_world, (*events, *self._sensor_events(packet)), report
         )
+
+    def _contradiction(self, t_ns: int, report: HealthReport) -> NotObservable | None:
+        """Return that images and IMU contradict each other, for some time after the first initialization."""
+        self._ready_ns = t_ns if self._ready_ns is None else self._ready_ns
+        is_early = self._waiting is Health.INITIALIZING and t_ns - self._ready_ns < MAX_CONTRADICTION_NS
+        return NotObservable(CONTRADICTION) if is_early and report.health is not Health.TRACKING else None
 
     def without_state(
         self, packet: FramePacket, reason: str, report: HealthReport | None = None, events: tuple[str, ...] = ()
@@ -96,7 +115,17 @@ class Publisher:
         return self.without_state(packet, report.reason, report, (f"lost: {report.reason}",))
 
     def _sensor_events(self, packet: FramePacket) -> tuple[str, ...]:
-        return (*self._gap_events(packet), *self._calibration_events(packet.observations))
+        outliers = (f"{packet.imu_outliers} {OUTLYING_SAMPLES}",) if packet.imu_outliers else ()
+        calibration = self._calibration_events(packet.observations)
+        return (*self._gap_events(packet), *calibration, *self._repetition_events(packet), *outliers)
+
+    def _repetition_events(self, packet: FramePacket) -> tuple[str, ...]:
+        """Return an event at the first of several repeated images."""
+        if not packet.repeats_image:
+            return ()
+        before_ns, self._repeated_ns = self._repeated_ns, packet.t_ns
+        is_same = before_ns is not None and packet.t_ns - before_ns <= SAME_REPETITION_NS
+        return () if is_same else (REPEATED_IMAGES,)
 
     def _cause_events(self, t_ns: int, cause: str) -> tuple[str, ...]:
         """Return an event where the same cause has prevented the initialization for some time; one for each cause."""

@@ -41,15 +41,11 @@ class MeasurementPipeline:
         self._buffer, self._exposure = ImuBuffer(imu), ExposureCompensation(gravity_m_s2)
         self._repetition = RepetitionFilter()
         self._last_frame_ns: int | None = None
+        self._outliers = 0  # of the IMU, up to the newest frame
 
     def add_imu(self, samples: ImuSamples) -> ImuSamples:
         """Add the IMU samples since the last call, and return those that are used now; see `ImuBuffer.add`."""
         return self._buffer.add(samples)
-
-    @property
-    def imu_outliers(self) -> int:
-        """Number of IMU samples that have been removed as outliers so far."""
-        return self._buffer.outliers
 
     def process(
         self,
@@ -95,12 +91,9 @@ class MeasurementPipeline:
         observations = self._front_end.track(frame, R_cur_prev, tracking_sigma, calibration.rig)
         # Cameras that have no tracker of their own observe no features in a frame that the others lack.
         has_image = len(observations) > 0 or all(image.size for image in frame.images)
-        return FramePacket(t_ns, increments, self._at_frame_time(observations, calibration), has_image)
-
-    @property
-    def repeats_image(self) -> bool:
-        """Whether an image of the newest frame was left out because it repeats the one before."""
-        return self._repetition.repeats
+        at_frame = self._at_frame_time(observations, calibration)
+        outliers, self._outliers = self._buffer.outliers - self._outliers, self._buffer.outliers
+        return FramePacket(t_ns, increments, at_frame, has_image, self._repetition.repeats, outliers)
 
     def replenish(self, packet: FramePacket, calibration: Calibration) -> FramePacket:
         """Return the newest packet with newly detected features and the matches in further cameras."""

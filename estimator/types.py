@@ -98,6 +98,10 @@ class FramePacket:
     """The observed features at that time."""
     has_image: bool = True
     """Whether a camera that tracks features has an image; without one, the IMU alone propagates the estimate."""
+    repeats_image: bool = False
+    """Whether an image was left out because it repeats the one before."""
+    imu_outliers: int = 0
+    """Number of IMU samples that were left out as outliers since the previous frame."""
 
 
 @dataclass(frozen=True, eq=False)

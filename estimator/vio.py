@@ -53,19 +53,11 @@ WRONG_TIME_OFFSET = "the time offset of camera and IMU is another one"
 """Reason of a loss at which another time offset is adopted."""
 MAX_EXTRAPOLATION_S = 0.01
 """Longest time over which a state is extrapolated without its covariance [s]: the error of third order is .01 mm."""
-SAME_REPETITION_S = 1.0
-"""Longest time between repeated images that one event states [s], as where each image comes twice."""
-REPEATED_IMAGES = "the image does not change although the vehicle moves: not used"
-"""Event at the first of several equal images."""
-
 EXCESSIVE_NOISE = (
     "vibration makes the IMU many times noisier than its data sheet: check its mount, its range and filter, and that no"
     " samples are left out without averaging"
 )
 """Cause that is stated once, where `ImuNoiseEstimator.is_excessive`."""
-
-OUTLYING_SAMPLES = "outlying samples of the IMU: left out"
-"""Event at the first frame after such samples, preceded by their number."""
 
 IMPLAUSIBLE_CALIBRATION = (
     "images and calibration do not belong together: check the camera-IMU extrinsics, the lens model, the order of the"
@@ -145,8 +137,6 @@ class VisualInertialOdometry:
         self._queue, self._offset_search = FrameQueue(), OffsetSearch()
         self._limits: MotionLimits | None = None  # of the next published state; None before the first, or after a loss
         self._is_noise_stated = False  # whether `EXCESSIVE_NOISE` has been stated
-        self._outliers = 0  # of the IMU, up to the newest frame
-        self._repeated_ns: int | None = None  # time stamp of the last frame of which an image was left out
         self._estimate: Estimate | None = None  # of the last processed frame, at its time by the clock of the IMU
         self._frame: CameraFrame | None = None  # the last processed one
         self._newest_ns: int | None = None  # its time by the clock of the IMU
@@ -227,13 +217,6 @@ class VisualInertialOdometry:
         offset = self._offset_search.offset(self._calibration.Ts_imu_cam) if self._is_contradicted else None
         if offset is not None:
             estimate = self._adopted(offset, packet, estimate)
-        if self._pipeline.repeats_image:
-            since_ns, self._repeated_ns = self._repeated_ns, frame.t_ns
-            if since_ns is None or (frame.t_ns - since_ns) * 1e-9 > SAME_REPETITION_S:
-                estimate = replace(estimate, events=(*estimate.events, REPEATED_IMAGES))
-        outliers, self._outliers = self._pipeline.imu_outliers - self._outliers, self._pipeline.imu_outliers
-        if outliers:
-            estimate = replace(estimate, events=(*estimate.events, f"{outliers} {OUTLYING_SAMPLES}"))
         return estimate
 
     def _at_stamp(self, estimate: Estimate, frame: CameraFrame) -> Estimate:

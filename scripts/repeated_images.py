@@ -3,7 +3,7 @@
 Repetitions: each image twice, each three times, and a camera that stops for a time; with pauses, the copies are removed
 from the recording. Frames are counted by their health from the first pose on::
 
-    python scripts/repeated_images.py ../shared/data/euroc/MH_01_real --cameras 1
+    python scripts/repeated_images.py MH_01_easy --cameras 1
 """
 
 import sys

@@ -3,7 +3,7 @@
 The true offset t_imu = t_cam + offset is given to the recording and not to the odometry. Each offset is tried from
 several starts, since the motion in the first seconds decides how soon it is found::
 
-    python scripts/time_offsets.py ../shared/data/euroc/MH_01_real --cameras 1
+    python scripts/time_offsets.py MH_01_easy --cameras 1
 
 No offset may be adopted where images and IMU do not belong together: with the IMU of other flights, with the images in
 reverse order, and where half a second is missing, which is beyond the offsets that are searched for.

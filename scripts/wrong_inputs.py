@@ -27,7 +27,8 @@ from dronevio.estimator.initialization.not_observable import (
     ROTATION_DISAGREES,
     SENSORS_SWAPPED,
 )
-from dronevio.estimator.vio import IMPLAUSIBLE_CALIBRATION, REPEATED_IMAGES, VisualInertialOdometry
+from dronevio.estimator.output import REPEATED_IMAGES
+from dronevio.estimator.vio import IMPLAUSIBLE_CALIBRATION, VisualInertialOdometry
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.consistency import errors_and_sigmas_m
 from dronevio.eval.run import EstimatorRun

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.initialization.not_observable import ROTATION_DISAGREES
-from dronevio.estimator.vio import REPEATED_IMAGES
+from dronevio.estimator.output import REPEATED_IMAGES
 from dronevio.eval.run import EstimatorRun, tracks_of
 from dronevio.models.errors import EvaluationError
 from dronevio.models.state import Health, HealthReport
