@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float64]
 
 REPEATED_IMAGES = "the image does not change although the vehicle moves: not used"
 """Event at the first of several equal images."""
-CONTRADICTION = "images and IMU contradict each other: rotation shows whether the clocks differ"
+CONTRADICTION = "images and IMU contradict each other; rotation shows whether clocks differ"
 """Reason of a state that is not published although it is certain."""
 MAX_CONTRADICTION_NS = 3_000_000_000
 """Longest time for which a first state is not published for that reason [ns]: the time that a search for the time offset
@@ -31,8 +31,8 @@ MIN_CAUSE_NS = 1_000_000_000
 class Publisher:
     """Makes an `Estimate` of the state at each frame.
 
-    After an initialization no state is published before its covariance is small enough, and the first one not for some time
-    if images and IMU contradict each other; from then on every state is published, until a loss.
+    After an initialization no state is published before its covariance is small enough, and a first one not as long as
+    images and IMU contradict each other, for some time; from then on every state is published, until a loss.
     """
 
     def __init__(self, config: InitializerConfig, imu_rate_hz: float) -> None:

@@ -27,7 +27,8 @@ from dronevio.eval.run import EstimatorRun
 from dronevio.evaluation import ate
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.protocols import Recording
-from dronevio.models.recordings.calibration.kalibr import camchain_yaml, imu_yaml, read_kalibr
+from dronevio.models.recordings.calibration.kalibr import camchain_yaml, imu_yaml
+from dronevio.models.recordings.calibration.reading import read_calibrated_rig
 from dronevio.models.recordings.euroc import EurocRecording, read_imu, write_euroc
 from dronevio.models.recordings.tum import read_trajectory
 from dronevio.models.rig import Rig, RigCamera
@@ -185,7 +186,7 @@ def same_stamps(source: Recording, shift_s: float, folder: Path) -> ChangedRecor
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "camchain.yaml").write_text(camchain_yaml(rig), encoding="utf-8")
     (folder / "imu.yaml").write_text(imu_yaml(rig), encoding="utf-8")
-    return ChangedRecording(source, read_kalibr(folder), lambda frame: replace(frame, image_delays_ns=()))
+    return ChangedRecording(source, read_calibrated_rig(folder), lambda frame: replace(frame, image_delays_ns=()))
 
 
 def row_of(name: str, run: EstimatorRun, error_m: float, paired_m: float | None) -> tuple[str, ...]:

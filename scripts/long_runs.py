@@ -83,7 +83,7 @@ class Landmarks:
         self._ages = np.where(self._ids >= 0, self._ages + 1, 0)
         return self._observations()
 
-    def replenish(self, rig: Rig | None = None) -> Observations:
+    def replenish(self, rig: Rig | None = None, at_exposure_of: object = None) -> Observations:
         """Observe further landmarks."""
         free = np.flatnonzero(self._visible & (self._ids < 0))[: max(80 - int((self._ids >= 0).sum()), 0)]
         self._ids[free], self._ages[free] = self._next + np.arange(len(free)), 1

@@ -38,7 +38,7 @@ MAX_COLOUR = 1.6
 NOISE_SHARE = 0.5
 """Noise density that is expected for a spectral floor, relative to the floor; the rest is motion. On EuRoC's flights,
 the estimates end there."""
-GROSS_RATIO = 3.0
+GROSS_RATIO = 4.0
 """Ratio by which this expectation must exceed both the estimate and the initial noise to replace the estimate."""
 FLOOR_STEP = 1.5
 """Ratio by which a spectral floor must exceed all before it for that: the noise has changed."""

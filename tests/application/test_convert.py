@@ -118,7 +118,7 @@ def test_nothing_is_overwritten_without_the_option(
         (["flight", "somewhere", "--to", "mcap"], "ends with .mcap for mcap only"),
         (["flight", "a.mcap", "--to", "bag"], "ends with .mcap for mcap only"),
         (["flight", "a.mcap", "--cameras", "0"], "--cameras 0; expected a whole number"),
-        (["flight", "a.mcap", "--calibration", "x.yaml"], "for bags"),
+        (["flight", "a.mcap", "--calibration", "x.yaml"], "x.yaml: no such file"),
     ],
 )
 def test_bad_input_is_one_line(

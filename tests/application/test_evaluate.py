@@ -198,7 +198,7 @@ def corrupt(flight: Path, fault: str) -> tuple[list[str], str]:
             return evaluate_command, f"{flight}: no such file; expected"
         case "missing recording":
             shutil.rmtree(flight)
-            return estimate_command, f"{flight}: no such file or folder; expected an EuRoC folder"
+            return estimate_command, f"{flight}: no such file or folder; expected a folder of EuRoC"
         case "missing estimate":
             estimate.unlink()
             return evaluate_command, f"{estimate}: no such file; expected"

@@ -44,7 +44,7 @@ class Restamped:
         true = replace(frame, t_ns=self._exposed_ns[frame.t_ns])
         return self._front_end.track(true, R_cur_prev, rotation_sigma_rad, rig)
 
-    def replenish(self, rig: Rig | None = None) -> Observations:
+    def replenish(self, rig: Rig | None = None, at_exposure_of: object = None) -> Observations:
         """Observe further landmarks."""
         return self._front_end.replenish(rig)
 

@@ -66,7 +66,7 @@ class PlayedFrontEnd:
         self.now_ns = int(self.flight.frame_times_ns[np.searchsorted(self.played_ns, frame.t_ns)])
         return self.inner.track(replace(frame, t_ns=self.now_ns), R_cur_prev, rotation_sigma_rad)
 
-    def replenish(self, rig: Rig | None = None) -> Observations:
+    def replenish(self, rig: Rig | None = None, at_exposure_of: object = None) -> Observations:
         """Observe further landmarks, and match all of them in the second camera."""
         observations, cameras = self.inner.replenish(), self.flight.rig.cameras
         if len(cameras) == 1:

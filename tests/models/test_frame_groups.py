@@ -14,7 +14,8 @@ from dronevio.models.protocols import Recording, exposure_delay_ns, measurements
 from dronevio.models.recordings.bag.recording import BagRecording
 from dronevio.models.recordings.bag.writer import write_bag
 from dronevio.models.recordings.calibration.exports import CONFIGURATIONS
-from dronevio.models.recordings.calibration.kalibr import camchain_yaml, imu_yaml, read_kalibr
+from dronevio.models.recordings.calibration.kalibr import camchain_yaml, imu_yaml
+from dronevio.models.recordings.calibration.reading import read_calibrated_rig
 from dronevio.models.recordings.euroc import EurocRecording, write_euroc_recording
 from dronevio.models.recordings.frame_groups import ABSENT, grouped_frames
 from dronevio.models.rig import EUROC_T_IMU_CAM0, EUROC_T_IMU_CAM1, Rig, RigCamera
@@ -168,11 +169,11 @@ def test_time_shifts_of_kalibr_may_differ(tmp_path: Path) -> None:
     assert "timeshift_cam_imu: -0.0041" in text and "timeshift_cam_imu: -0.00194" in text
     (tmp_path / "camchain.yaml").write_text(text)
     (tmp_path / "imu.yaml").write_text(imu_yaml(rig))
-    found = read_kalibr(tmp_path)
+    found = read_calibrated_rig(tmp_path)
     assert found.time_offset_s == -0.0041
     assert [camera.time_offset_s for camera in found.cameras] == [0.0, 0.00216]
     (tmp_path / "camchain.yaml").write_text(camchain_yaml(stereo(0.0, 0.0004)))  # of cameras with one trigger
-    assert [camera.time_offset_s for camera in read_kalibr(tmp_path).cameras] == [0.0, 0.0]
+    assert [camera.time_offset_s for camera in read_calibrated_rig(tmp_path).cameras] == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("program", ["vins", "orbslam3", "basalt", "kimera"])
