@@ -18,8 +18,8 @@ REPEATED_IMAGES = "the image does not change although the vehicle moves: not use
 CONTRADICTION = "images and IMU contradict each other; rotation shows whether clocks differ"
 """Reason of a state that is not published although it is certain."""
 MAX_CONTRADICTION_NS = 3_000_000_000
-"""Longest time for which a first state is not published for that reason [ns]: the time that a search for the time offset
-of camera and IMU takes."""
+"""Longest time for which a first state is not published for that reason [ns]: that of a search for the time offset
+of camera and IMU."""
 SAME_REPETITION_NS = 1_000_000_000
 """Longest time between repeated images that one event states [ns], as where each image comes twice."""
 OUTLYING_SAMPLES = "outlying samples of the IMU: left out"

@@ -216,4 +216,4 @@ def main(command: SimilarCommand | WorldsCommand) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(tyro.cli(Command, description=__doc__)))  # type: ignore[arg-type]
+    sys.exit(main(tyro.cli(Command, description=__doc__)))

@@ -10,6 +10,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -28,6 +29,11 @@ from dronevio.models.state import CameraFrame, Health
 Indices = npt.NDArray[np.int64]
 
 PAUSE_S = 2.0
+
+
+def frame_at(section: ChangedRecording, rows: Indices, index: int) -> CameraFrame:
+    """Return the frame of a recording in the row (N,) of an index."""
+    return section.image_of(int(rows[index]))
 
 
 @dataclass(frozen=True)
@@ -83,9 +89,6 @@ def main(command: RepeatedImagesCommand) -> int:
     for name, function in cases.items():
         shown = function(index, rate_hz)
 
-        def frame_of(i: int, shown: Indices = shown) -> CameraFrame:
-            return section.image_of(int(shown[i]))
-
         def encoded(i: int, shown: Indices = shown) -> CameraFrame:
             frame = section.image_of(int(shown[i]))
             return frame if shown[i] == i else replace(frame, images=tuple(map(recompressed, frame.images)))
@@ -94,9 +97,9 @@ def main(command: RepeatedImagesCommand) -> int:
         removed = replace(
             section,
             frame_times_ns=section.frame_times_ns[new],
-            image_of=lambda i, new=new: section.image_of(int(new[i])),
+            image_of=partial(frame_at, section, new),
         )
-        variants = {"repeated": replace(section, image_of=frame_of), "removed": removed}
+        variants = {"repeated": replace(section, image_of=partial(frame_at, section, shown)), "removed": removed}
         for kind, changed in variants.items():
             rows.append((name, kind, *_row(changed, truth)))
     titles = ("images", "copies", "tracking", "inertial-only", "no pose", "tracking again s", "ATE mm", "events")

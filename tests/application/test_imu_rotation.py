@@ -22,7 +22,7 @@ def recording(R_imu_cam: Any, amplitudes: Any, frames: int = 60) -> VideoRecordi
     """Return a recording whose camera turns to and fro before a distant texture, 20 Hz, with a gyroscope of 200 Hz."""
     rng = np.random.default_rng(0)
     texture = cv2.GaussianBlur(rng.integers(0, 256, (480, 640), dtype=np.uint8), (0, 0), 2.0)
-    texture = cv2.normalize(texture, None, 0, 255, cv2.NORM_MINMAX)
+    texture = cv2.normalize(texture, np.zeros_like(texture), 0, 255, cv2.NORM_MINMAX)
     shift = np.array([[1.0, 0.0, -160.0], [0.0, 1.0, -120.0], [0.0, 0.0, 1.0]])
 
     def angles(t_s: Any) -> Any:

@@ -62,6 +62,7 @@ def test_each_segment_has_its_files_and_figures(estimated: Result, stepped: Path
     warnings = [line for line in estimated.err.splitlines() if "clock step" in line]
     assert len(warnings) == 1 and "(-1.513 s)" in warnings[0]
     truth = whole.ground_truth
+    assert truth is not None
     for name, frames, shift_ns in (("e.tum", slice(None, half), 0), ("e_2.tum", slice(half, None), CHANGE_NS)):
         poses = read_tum(estimated.folder / name)
         assert np.isin(poses.t_ns - shift_ns, whole.frame_times_ns[frames]).all() and len(poses) > 0.3 * half

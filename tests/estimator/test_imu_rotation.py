@@ -23,7 +23,7 @@ def angle_deg(R: Array, other: Array) -> float:
 
 def measured(R_imu_cam: Array, offset_s: float, axes: Array, outliers: int = 0) -> tuple[RelativeRotations, ImuSamples]:
     """Return ten seconds of rotation about axes of the camera, seen by images at 15 Hz and a gyroscope at 200 Hz."""
-    rng, t_s = np.random.default_rng(0), np.arange(2200) * 0.005
+    rng, t_s = np.random.default_rng(0), np.arange(2200, dtype=np.float64) * 0.005
 
     def integral(times: Array) -> Array:
         phases = np.array([0.1, 1.3, 2.2])
@@ -31,7 +31,7 @@ def measured(R_imu_cam: Array, offset_s: float, axes: Array, outliers: int = 0) 
         return np.asarray(0.4 * sum(waves) @ np.diag(axes))
 
     def rate(times: Array) -> Array:
-        return (integral(times + 1e-4) - integral(times - 1e-4)) / 2e-4
+        return np.asarray((integral(times + 1e-4) - integral(times - 1e-4)) / 2e-4)
 
     gyro = rate(t_s) @ R_imu_cam.T + [0.01, -0.02, 0.015] + rng.normal(0.0, 1e-3, (len(t_s), 3))
     imu = ImuSamples((t_s * 1e9).astype(np.int64), gyro, np.zeros_like(gyro))

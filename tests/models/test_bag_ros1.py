@@ -74,7 +74,8 @@ def foreign(samples: int = 8) -> list[tuple[int, str, Any]]:
     static = ros1.geometry_msgs__msg__TransformStamped(header(T0_NS, "/imu", 3), "/camera", pose)
     k = RIG.cameras[0].model
     roi = ros1.sensor_msgs__msg__RegionOfInterest(0, 0, 0, 0, do_rectify=False)
-    messages: list[tuple[int, str, Any]] = [(T0_NS, "/tf_static", NOETIC.types[TRANSFORMS]([static]))]
+    transforms: Any = NOETIC.types[TRANSFORMS]
+    messages: list[tuple[int, str, Any]] = [(T0_NS, "/tf_static", transforms([static]))]
     for i in range(samples):
         t_ns = T0_NS + i * STEP_NS
         rate, force = vector(0.1, 0.2, 0.01 * i), vector(0.0, 0.0, 9.81)

@@ -1,6 +1,7 @@
 """IMU samples that share time stamps: bursts are spread, single duplicates are not."""
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,11 +11,11 @@ from dronevio.models.recordings.bursts import spread_bursts
 DT_NS = 5_000_000
 
 
-def samples(count: int) -> np.ndarray:  # type: ignore[type-arg]
+def samples(count: int) -> npt.NDArray[np.float64]:
     return np.random.default_rng(0).normal(size=(count, 6))
 
 
-def burst_stamps(t_ns: np.ndarray, size: int) -> np.ndarray:  # type: ignore[type-arg]
+def burst_stamps(t_ns: npt.NDArray[np.int64], size: int) -> npt.NDArray[np.int64]:
     """Each sample with the stamp of the last one of its burst."""
     last = np.minimum(np.arange(len(t_ns)) // size * size + size - 1, len(t_ns) - 1)
     return np.asarray(t_ns[last])

@@ -68,6 +68,7 @@ def test_folders_of_tum_vi_take_a_calibration(tmp_path: Path, noise_recording: M
     assert read.name == "room1" and read.defects == ()
     np.testing.assert_array_equal(read.imu.gyro_rad_s, recording.imu.gyro_rad_s)
     np.testing.assert_array_equal(read.frame(2).images[1], recording.frame(2).images[1])
+    assert read.ground_truth is not None
     np.testing.assert_array_equal(read.ground_truth.p_world_imu, recording.ground_truth.p_world_imu)
     np.testing.assert_array_equal(read_trajectory(folder).t_ns, recording.ground_truth.t_ns)
     np.testing.assert_array_equal(read_frame_times(folder), recording.frame_times_ns)
@@ -257,7 +258,8 @@ def test_ground_truth_of_drives_is_that_of_the_navigation_system(tmp_path: Path)
     np.testing.assert_allclose(truth.rotations[30], exp_so3(np.array([0.0, 0.0, 0.06])), atol=1e-9)
     assert truth.velocity_m_s is not None
     np.testing.assert_allclose(truth.velocity_m_s[30], [10.0, 0.0, 0.0])
-    assert len(read_frame_times(folder)) == 4
+    times_ns = read_frame_times(folder)
+    assert times_ns is not None and len(times_ns) == 4
 
 
 def test_drives_that_are_not_rectified_have_a_lens(tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ def cameras(draw: st.DrawFn) -> CameraModel:
 def test_projection_inverts_unprojection(model: CameraModel, seed: int) -> None:
     pixels = np.random.default_rng(seed).uniform([-0.5, -0.5], [639.5, 479.5], (200, 2))
     rays = model.unproject(pixels)
-    seen = np.isfinite(rays).all(axis=-1)
+    seen = np.asarray(np.isfinite(rays).all(axis=-1))
     assert seen[np.linalg.norm(pixels - [model.cx, model.cy], axis=1) < 50.0].all()
     np.testing.assert_allclose(np.linalg.norm(rays[seen], axis=-1), 1.0, atol=1e-13)
     back = model.project(rays[seen] * np.random.default_rng(seed).uniform(0.1, 100.0, (seen.sum(), 1)))
@@ -62,7 +62,7 @@ def test_unprojection_inverts_projection(model: CameraModel, seed: int) -> None:
     nearby = [model.project(p[seen] + h * axis) for axis in np.eye(3)]
     J = np.stack([(near - pixels[seen]) / h for near in nearby], axis=-1)
     # Where a pixel hardly moves with the direction, near the limit of the lens, the inverse is ill conditioned.
-    well = np.isfinite(J).all(axis=(1, 2))
+    well = np.asarray(np.isfinite(J).all(axis=(1, 2)))
     well[well] = np.linalg.svd(J[well], compute_uv=False)[:, -1] > 1.0
     np.testing.assert_allclose(model.unproject(pixels[seen][well]), p[seen][well], atol=1e-8)
 

@@ -186,7 +186,7 @@ def test_what_pyyaml_writes_in_any_style_is_read(
     indent: int | None,
     explicit: bool,
 ) -> None:
-    class WithoutAliases(independent.SafeDumper):
+    class WithoutAliases(independent.SafeDumper):  # type: ignore[misc]
         def ignore_aliases(self, data: object) -> bool:
             return True
 

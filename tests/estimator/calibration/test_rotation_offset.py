@@ -36,13 +36,13 @@ def rates(t_s: Array, seed: int = 0) -> Array:
 def gyroscope(seed: int = 0, begin_ns: int = 0) -> ImuSamples:
     """Return four seconds of a gyroscope with a bias, every 5 ms."""
     t_ns = 5 * STEP_NS * np.arange(800)
-    return ImuSamples(t_ns + begin_ns, rates(t_ns * 1e-9, seed) + BIAS, np.zeros((800, 3)))
+    return ImuSamples(t_ns + begin_ns, rates(np.asarray(t_ns, np.float64) * 1e-9, seed) + BIAS, np.zeros((800, 3)))
 
 
 def seen(offset_s: float, period_s: float = 0.05, sigma_rad: float = 2e-4, begin_ns: int = 0) -> RelativeRotations:
     """Return the rotations between frames whose stamps differ from the gyroscope's clock by an offset."""
     fine_ns = STEP_NS * np.arange(4001)
-    middle = rates((fine_ns[:-1] + STEP_NS / 2) * 1e-9)
+    middle = rates(np.asarray(fine_ns[:-1] + STEP_NS / 2, np.float64) * 1e-9)
     R = integrated_rotations(middle * STEP_NS * 1e-9)
     rows = np.arange(300, 3700, round(period_s * 1e3))
     rotation = log_so3(np.swapaxes(R[rows[:-1]], 1, 2) @ R[rows[1:]])

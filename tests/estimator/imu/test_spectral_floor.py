@@ -26,7 +26,7 @@ def samples(values: Array, rate_hz: float) -> ImuSamples:
 
 def white(n: int, rate_hz: float, factor: float = 1.0) -> Array:
     """Return white noise (N, 6) of the data sheet times a factor."""
-    return factor * np.random.default_rng(0).normal(size=(n, 6)) * np.repeat(SHEET, 3) * np.sqrt(rate_hz)
+    return np.asarray(factor * np.random.default_rng(0).normal(size=(n, 6)) * np.repeat(SHEET, 3) * np.sqrt(rate_hz))
 
 
 def floor_of(values: Array, rate_hz: float) -> Array:
@@ -34,7 +34,7 @@ def floor_of(values: Array, rate_hz: float) -> Array:
     floor = SpectralFloor()
     for begin in range(0, len(values), 7):
         floor.add(samples(values, rate_hz)[begin : begin + 7])
-    return np.array(floor.densities) / SHEET
+    return np.asarray(np.array(floor.densities) / SHEET)
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 200.0, 1000.0])

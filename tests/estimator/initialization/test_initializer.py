@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.config import SmootherConfig
@@ -186,7 +187,7 @@ def test_frames_can_be_collected_before_an_attempt(make_flight: Callable[..., "S
     assert isinstance(add(initializer, flight, packets[-1], 0.0, gauge), KeyframeSmoother)
 
 
-def packets_at(t_s: Sequence[float], t0_ns: int = 10**18) -> list[FramePacket]:
+def packets_at(t_s: npt.ArrayLike, t0_ns: int = 10**18) -> list[FramePacket]:
     """Return packets without features at some times [s], with the IMU of a vehicle at rest."""
     t_ns = t0_ns + np.rint(np.asarray(t_s) * 1e9).astype(np.int64)
     packets = []
