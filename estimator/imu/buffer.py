@@ -108,7 +108,7 @@ class ImuBuffer:
         self._gyro_limit = SaturationDetector(np.inf if imu is None else imu.gyro_range_rad_s, MIN_GYRO_RANGE_RAD_S)
         self._accel_limit = SaturationDetector(np.inf if imu is None else imu.accel_range_m_s2, MIN_ACCEL_RANGE_M_S2)
         self._outliers = OutlierFilter(imu)
-        self._samples: ImuSamples | None = None
+        self._received: list[ImuSamples] = []  # not joined before they are used, since no frame may come for hours
         self._start_ns: int | None = None  # the samples up to here have been returned
 
     @property
@@ -121,7 +121,10 @@ class ImuBuffer:
         samples = self._outliers.add(samples)
         self._gyro_limit.update(samples.gyro_rad_s)
         self._accel_limit.update(samples.accel_m_s2)
-        self._samples = samples if self._samples is None else self._samples.extended(samples)
+        if self._received and len(samples):
+            self._received[-1][-1:].extended(samples[:1])  # raises an error if they are not later
+        if len(samples):
+            self._received.append(samples)
         return samples
 
     def take_until(self, t_ns: int) -> Increments:
@@ -129,14 +132,15 @@ class ImuBuffer:
 
         An interval that contains ``t_ns`` is divided in proportion. Where samples are missing, the last one is held.
         """
-        if self._samples is None or len(self._samples) == 0:
+        if not self._received:
             return NO_INCREMENTS
+        samples = self._joined()
         # Later samples than the first after t make no difference, and there may be those of a whole flight.
-        after = int(np.searchsorted(self._samples.t_ns, t_ns, side="right"))
-        taken = self._increments(self._samples[: after + 1], t_ns, held=True)
+        after = int(np.searchsorted(samples.t_ns, t_ns, side="right"))
+        taken = self._increments(samples[: after + 1], t_ns, held=True)
         self._start_ns = t_ns
         # The sample at or before t stays: the midpoint rule averages a sample with its predecessor.
-        self._samples = self._samples[max(after - 1, 0) :]
+        self._received = [samples[max(after - 1, 0) :]]
         return taken
 
     def ahead(self, span_s: float, *, held: bool = False) -> Increments:
@@ -144,9 +148,14 @@ class ImuBuffer:
 
         They stay in the buffer. Where samples are missing, the last one is held if ``held`` is true.
         """
-        if self._samples is None or len(self._samples) == 0 or self._start_ns is None or span_s <= 0.0:
+        if not self._received or self._start_ns is None or span_s <= 0.0:
             return NO_INCREMENTS
-        return self._increments(self._samples, self._start_ns + round(span_s * 1e9), held)
+        return self._increments(self._joined(), self._start_ns + round(span_s * 1e9), held)
+
+    def _joined(self) -> ImuSamples:
+        """Return the samples in the buffer, of which there is one at least."""
+        self._received = [ImuSamples.concatenated(self._received)]
+        return self._received[0]
 
     def _increments(self, samples: ImuSamples, t_ns: int, held: bool) -> Increments:
         increments = samples.increments()
