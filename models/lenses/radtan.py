@@ -32,6 +32,7 @@ COUNTS: tuple[int, ...] = (4, 5, 8)
 _ITERATIONS = 40  # Newton needs 4 inside the image of EuRoC's camera, and more only far outside
 _CONVERGED = 1e-13  # largest residual in focal lengths
 _SOLVED = 1e-11  # a larger residual after the last iteration belongs to a point without a ray
+_LEAST_INVERSE = 1e-100  # inverse of a radius that no image has, whose square is still a number
 _INSIDE = 1.0 - 1e-12  # keeps Newton inside the circle on which the Jacobian may be singular
 
 
@@ -60,7 +61,7 @@ def valid_limit(coefficients: Coefficients) -> float:
     inverse_radii = np.concatenate([np.roots(p) for p in positive])  # well conditioned in 1 / r
     roots = inverse_radii.real[np.abs(inverse_radii.imag) < 1e-9 * np.abs(inverse_radii)]
     nearest = roots.max(initial=0.0)
-    return float(1.0 / nearest) if nearest > 0.0 else np.inf
+    return float(1.0 / nearest) if nearest > _LEAST_INVERSE else np.inf
 
 
 def central_scale(coefficients: Coefficients) -> float:
@@ -75,7 +76,7 @@ def project(p_cam: Array, coefficients: Coefficients) -> Array:
     """
     z = np.where(p_cam[..., 2:] > 0.0, p_cam[..., 2:], np.nan)
     xy = p_cam[..., :2] / z
-    defined = np.sum(xy * xy, axis=-1, keepdims=True) < valid_limit(coefficients) ** 2
+    defined = np.hypot(xy[..., :1], xy[..., 1:]) < valid_limit(coefficients)
     return distort(np.where(defined, xy, np.nan), coefficients)
 
 
