@@ -1,7 +1,7 @@
 """Recordings as EuRoC folders (ASL format): images, IMU samples, calibration and ground truth.
 
-The body frame is that of the IMU, IMU samples are values at their time stamps unless stated otherwise, cameras are
-with any lens of this package. Format: Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016. Folders of
+The body frame is that of the IMU, IMU samples are values at their time stamps unless stated otherwise, and cameras
+have any lens of this package. Format: Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016. Folders of
 TUM-VI have the same tables without ``sensor.yaml``, and their ground truth in ``mocap0`` (Schubert et al., "The TUM VI
 benchmark for evaluating visual-inertial odometry", IROS 2018).
 """
@@ -26,23 +26,17 @@ from dronevio.models.recordings.calibration.euroc import (
     read_euroc_rig,
     read_euroc_sampling,
 )
-from dronevio.models.recordings.exported import increments_of_means, interval_means
+from dronevio.models.recordings.exported import interval_means
 from dronevio.models.recordings.files import write_text
 from dronevio.models.recordings.folder_contents import FolderContents, calibrated_rig
-from dronevio.models.recordings.frame_groups import ABSENT, FrameGroups, delays_of_frame, grouped_frames
+from dronevio.models.recordings.folder_segments import point_samples, repaired_segments, strict_segments
+from dronevio.models.recordings.frame_groups import delays_of_frame
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text, read_frame_truth
 from dronevio.models.recordings.image_list import ImageList
 from dronevio.models.recordings.images import DamagedImageError, encode_png, read_grey, significant_bits_of_files
-from dronevio.models.recordings.repair import (
-    imu_defects,
-    repaired_samples,
-    unpaired_images,
-)
-from dronevio.models.recordings.segments import segment_name, split_at_steps, usable_segments
+from dronevio.models.recordings.segments import segment_name, split_at_steps
 from dronevio.models.recordings.timed_table import (
     TableFormat,
-    TimedTable,
-    check_table,
     check_unit_quaternions,
     parse_integer_ns,
     read_timed_table,
@@ -148,33 +142,25 @@ class EurocRecording:
             InputError: The contents have defects; or, with `repair`, there is no IMU, or IMU and cameras do not overlap
                 in time.
         """
-        parts = (_repaired_parts if repair else _strict_parts)(contents)
-        whole = cls(
-            name=contents.name,
-            mav0=contents.folder,
-            rig=contents.rig,
-            imu=parts[0].imu,
-            frame_times_ns=parts[0].frames.t_ns,
-            image_files=parts[0].frames.files,
-            image_delays_ns=parts[0].frames.delays_ns,
-            ground_truth=contents.ground_truth,
-            frame_truth=contents.frame_truth,
-            complete=contents.complete,
-            repair=repair,
-        )
-        segments = [
-            replace(
-                whole,
-                name=segment_name(whole.name, number, len(parts)),
-                imu=part.imu,
-                frame_times_ns=part.frames.t_ns,
-                image_files=part.frames.files,
-                image_delays_ns=part.frames.delays_ns,
-                defects=part.defects,
+        segments = (repaired_segments if repair else strict_segments)(contents)
+        first, *later = (
+            cls(
+                name=segment_name(contents.name, number, len(segments)),
+                mav0=contents.folder,
+                rig=contents.rig,
+                imu=segment.imu,
+                frame_times_ns=segment.frames.t_ns,
+                image_files=segment.frames.files,
+                image_delays_ns=segment.frames.delays_ns,
+                ground_truth=contents.ground_truth,
+                frame_truth=contents.frame_truth,
+                complete=contents.complete,
+                repair=repair,
+                defects=segment.defects,
             )
-            for number, part in enumerate(parts, 1)
-        ]
-        return replace(segments[0], later=tuple(segments[1:]))
+            for number, segment in enumerate(segments, 1)
+        )
+        return replace(first, later=tuple(later))
 
     @cached_property
     def image_bits(self) -> tuple[int, ...]:
@@ -206,32 +192,6 @@ class EurocRecording:
             images.append(image)
         delays_ns = delays_of_frame(self.image_delays_ns[index])
         return CameraFrame(t_ns, tuple(images), defects=tuple(defects), image_delays_ns=delays_ns)
-
-
-@dataclass(frozen=True, eq=False)
-class _Frames:
-    """The frames of a folder."""
-
-    t_ns: Times
-    """(M,) Time stamps [ns]."""
-    files: tuple[tuple[Path | None, ...], ...]
-    """M image files of each camera, None where it has none."""
-    delays_ns: Times
-    """(M, C) How much later than its frame each image is stamped [ns]."""
-    defects: tuple[Defect, ...] = ()
-    """Defects of the images."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """What a folder has of one segment."""
-
-    frames: _Frames
-    """The frames of the segment."""
-    imu: ImuSamples
-    """The IMU samples of the segment."""
-    defects: tuple[Defect, ...] = ()
-    """The defects of both."""
 
 
 def read_euroc_contents(
@@ -274,119 +234,6 @@ def _tum_vi_calibration(mav0: Path) -> tuple[Path, ...]:
         expected = "that file, or a calibration of Kalibr or Basalt (--calibration camchain.yaml imu.yaml)"
         raise InputError(mav0 / "cam0" / "sensor.yaml", "no such file", expected)
     return beside
-
-
-def _strict_parts(contents: FolderContents) -> tuple[_Part, ...]:
-    """Return what a folder without defects has, or raise InputError."""
-    frames = _strict_frames(contents.folder, contents.lists, contents.complete, contents.rig)
-    if len(contents.imu.t_ns):
-        check_table(contents.imu, contents.imu_form)
-    return (_Part(frames, _sampled(contents, _samples(contents.imu.t_ns, contents.imu.values))),)
-
-
-def _repaired_parts(contents: FolderContents) -> tuple[_Part, ...]:
-    """Return what a folder has of each segment, one or more, with its defects.
-
-    Raises:
-        InputError: There is no IMU, or no segment has frames and IMU samples of the same time.
-    """
-    table, mav0, rig = contents.imu, contents.folder, contents.rig
-    if not len(table.t_ns):
-        raise InputError(mav0, "no IMU", "a recording with an IMU; dronevio sfm needs none")
-    offsets_ns = [0, *(round((rig.time_offset_s + camera.time_offset_s) * 1e9) for camera in rig.cameras)]
-    split = split_at_steps([table.t_ns, *(each.t_ns for each in contents.lists)], offsets_ns)
-    table = replace(table, t_ns=split.stamps[0])
-    lists = [replace(each, t_ns=t_ns) for each, t_ns in zip(contents.lists, split.stamps[1:], strict=True)]
-
-    def part(segment: int) -> _Part:
-        rows = [np.arange(len(t_ns))[split.rows(k)[segment]] for k, t_ns in enumerate(split.stamps)]
-        chosen = [each.selected(of) for each, of in zip(lists, rows[1:], strict=True)]
-        frames = _repaired_frames(mav0, chosen, contents.complete, rig)
-        imu, defects = _repaired_imu(table.selected(rows[0]))
-        late = imu_defects(imu, frames.t_ns, rig.time_offset_s, mav0)
-        steps = split.defects(segment, [table.place, *(each.place for each in lists)])
-        return _Part(replace(frames, defects=()), _sampled(contents, imu), (*frames.defects, *defects, *late, *steps))
-
-    return tuple(
-        replace(found, defects=(*left_out, *found.defects))
-        for found, left_out in usable_segments(len(split.steps) + 1, part)
-    )
-
-
-def _sampled(contents: FolderContents, imu: ImuSamples) -> ImuSamples:
-    """Return the IMU samples of a folder as the values that its calibration says they are."""
-    return increments_of_means(imu) if contents.sampling == "increment" else imu
-
-
-def _samples(t_ns: Times, values: Array) -> ImuSamples:
-    """Return point samples of time stamps (N,) [ns] and values (N, 6)."""
-    return ImuSamples(t_ns, _columns(values, 0, 3), _columns(values, 3, 6), "point")
-
-
-def _strict_frames(mav0: Path, lists: Sequence[ImageList], complete: bool, rig: Rig) -> _Frames:
-    """Return the frames for which every camera has an image, or raise InputError if time stamps do not increase."""
-    checked = [each.check() for each in lists]
-    if not complete:
-        checked = [each.selected(each.existing()) for each in checked]
-    return _complete_frames(mav0, checked, complete, rig)
-
-
-def _groups(lists: Sequence[ImageList], rig: Rig) -> FrameGroups:
-    """Return the images of each frame."""
-    return grouped_frames([each.t_ns for each in lists], [camera.time_offset_s for camera in rig.cameras])
-
-
-def _complete_frames(mav0: Path, lists: Sequence[ImageList], complete: bool, rig: Rig) -> _Frames:
-    """Return the frames for which every camera has an image, or raise InputError if there is none."""
-    groups = _groups(lists, rig)
-    groups = groups[groups.is_complete]
-    if not len(groups.t_ns) and not complete:
-        raise InputError(mav0, "an incomplete recording without frames", "at least one frame")
-    _require_frames(mav0, groups)
-    files = tuple(each.selected(of).files for each, of in zip(lists, groups.rows.T, strict=True))
-    return _Frames(groups.t_ns, files, groups.delays_ns)
-
-
-def _require_frames(mav0: Path, groups: FrameGroups) -> None:
-    """Raise InputError if no frame has an image of every camera."""
-    if not groups.is_complete.any():
-        found = f"{groups.rows.shape[1]} cameras without a time stamp in common, or any close to one another"
-        raise InputError(mav0, found, "cameras of one clock that record at the same time")
-
-
-def _repaired_frames(mav0: Path, lists: Sequence[ImageList], complete: bool, rig: Rig) -> _Frames:
-    """Return the frames for which at least one camera has an image, with their defects.
-
-    The images that an interrupted recording lacks are not defects; it has the frames with an image of every camera.
-
-    Raises:
-        InputError: A camera has no image, or no frame has an image of each camera.
-    """
-    ordered = [each.ordered() for each in lists]
-    lists, defects = [each for each, _ in ordered], tuple(defect for _, found in ordered for defect in found)
-    existing = [each.existing() for each in lists]
-    if not complete:
-        kept = [each.selected(exists) for each, exists in zip(lists, existing, strict=True)]
-        return replace(_complete_frames(mav0, kept, complete, rig), defects=defects)
-    for each, exists in zip(lists, existing, strict=True):
-        if not exists.any():
-            raise InputError(each.path, f"{len(exists)} images, none of which exists", "the images in the folder data")
-    groups = _groups(lists, rig)
-    _require_frames(mav0, groups)
-    t_ns, rows = groups.t_ns, groups.rows
-    has_image = np.stack([exists[of] & (of != ABSENT) for exists, of in zip(existing, rows.T, strict=True)], axis=1)
-    seen = has_image.any(axis=1)
-    files = tuple(
-        tuple(each.files[row] if present else None for row, present in zip(of.tolist(), has.tolist(), strict=True))
-        for each, of, has in zip(lists, rows[seen].T, has_image[seen].T, strict=True)
-    )
-    names = [each.path.parent.name for each in lists]
-    defects = (
-        *defects,
-        *(defect for each in lists for defect in each.missing()),
-        *unpaired_images(t_ns[seen], rows[seen], names),
-    )
-    return _Frames(t_ns[seen], files, groups.delays_ns[seen], defects)
 
 
 def find_mav0(folder: Path | str) -> Path:
@@ -445,21 +292,7 @@ def read_imu(path: Path | str) -> ImuSamples:
         InputError: The file is missing, empty, truncated or in another format, or its time stamps do not increase.
     """
     table = read_timed_table(Path(path), IMU_TABLE)
-    return _samples(table.t_ns, table.values)
-
-
-def _repaired_imu(table: TimedTable) -> tuple[ImuSamples, tuple[Defect, ...]]:
-    """Return the samples of an IMU table as point samples in the order of time, and the defects.
-
-    Raises:
-        InputError: No sample is finite.
-    """
-    t_ns, rows, defects = repaired_samples(
-        table.t_ns, table.values, lambda row: f"{table.place(row)}: sample at {table.t_ns[row]} ns"
-    )
-    if not len(rows):
-        raise InputError(table.path, f"{len(table.t_ns)} samples, none of which is finite", "finite numbers")
-    return _samples(t_ns, table.values[rows]), defects
+    return point_samples(table.t_ns, table.values)
 
 
 def read_groundtruth(path: Path | str) -> Trajectory:
