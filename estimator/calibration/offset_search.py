@@ -28,8 +28,6 @@ MIN_RANGE_S = 0.03
 """Smallest range of offsets that is searched [s]."""
 INTERVAL_S = 0.25
 """Time between searches [s]."""
-START_WINDOW_S = 1.4
-"""The same before a start [s]: the shortest window of a start with one camera, less the offsets that are tried."""
 MIN_OFFSET_S = 0.008
 """Smallest offset that is adopted [s]; the online calibration finds smaller ones."""
 
