@@ -109,7 +109,7 @@ def test_the_right_offset_is_kept(make_flight: MakeFlight) -> None:
     assert [e.t_ns for e in estimates] == flight.frame_times_ns.tolist()
 
 
-@pytest.mark.parametrize("step_s", [0.1, -0.1])
+@pytest.mark.parametrize("step_s", [0.1, pytest.param(-0.1, marks=pytest.mark.slow)])
 def test_a_step_of_one_clock_is_named_and_the_offset_found_again(make_flight: MakeFlight, step_s: float) -> None:
     flight = make_flight(1, rest_s=IN_MOTION, duration_s=10.0, motion=LIVELY, max_features=100)
     vio, estimates = run(flight, lambda t: np.where(t > 4.0, step_s, 0.0))
