@@ -250,15 +250,20 @@ class VisualInertialOdometry:
         if isinstance(self._state, Tracking):
             report = estimate.health_report or HealthReport(Health.LOST, "")
             estimate = self._lose(self._state, packet, replace(report, health=Health.LOST, reason=WRONG_TIME_OFFSET))
+        self._begin_calibration(offset_s)
+        self._queue.shift(offset_s - self._rig.time_offset_s)
+        self._restart = None
+        self._publisher.withdraw_causes()
+        self._state = Initializing(self._initializer(is_trusted=False), is_trusted=True)
+        return replace(estimate, events=(*estimate.events, event))
+
+    def _begin_calibration(self, offset_s: float) -> None:
+        """Begin with the given calibration, without corrections, and a time offset of camera and IMU [s]."""
         c, rig = self._config, replace(self._rig, time_offset_s=offset_s)
         self._online_calibration = OnlineCalibration(rig, c.calibration, c.gravity_m_s2)
         self._noise.set_gravity(c.gravity_m_s2)
         self._imu_rate.set_gravity(c.gravity_m_s2)
-        self._queue.shift(offset_s - self._rig.time_offset_s)
-        self._offset_search, self._restart = OffsetSearch(), None
-        self._publisher.withdraw_causes()
-        self._state = Initializing(self._initializer(is_trusted=False), is_trusted=True)
-        return replace(estimate, events=(*estimate.events, event))
+        self._offset_search = OffsetSearch()
 
     def _initialize(self, state: Initializing, packet: FramePacket) -> Estimate:
         """Initialize the estimate if it is observable."""
@@ -437,7 +442,10 @@ class VisualInertialOdometry:
         self._limits = None
         initializer, self._restart = self._restart or self._initializer(monitor.is_trusted), None
         self._state = Initializing(initializer, monitor.is_trusted)
-        self._online_calibration.restart()
+        if self._online_calibration.is_plausible:
+            self._online_calibration.restart()
+        else:  # its corrections are not, either
+            self._begin_calibration(self._calibration.rig.time_offset_s)
         if self._observer is not None:
             self._observer.lost()
         return self._publisher.lost(packet, report)
