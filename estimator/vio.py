@@ -120,11 +120,8 @@ class VisualInertialOdometry:
         """
         check_rig(rig)
         self._config = c = config or VioConfig()
-        self._rig, self._imu, self._noise = (
-            rig,
-            rig.imu,
-            ImuNoiseEstimator(rig.imu, c.preintegration, c.noise, c.gravity_m_s2),
-        )
+        self._rig, self._imu = rig, rig.imu
+        self._noise = ImuNoiseEstimator(rig.imu, c.preintegration, c.noise, c.gravity_m_s2)
         self._online_calibration = OnlineCalibration(rig, c.calibration, c.gravity_m_s2)
         self._pipeline = MeasurementPipeline(rig.imu, front_end or RigTracker(rig, c.tracker), c.gravity_m_s2)
         self._stamps = StampCorrection(rig.cameras[0].rate_hz, c.stamps)

@@ -247,12 +247,12 @@ def _equals(image: Image, last: Image) -> bool:
 def calibrated_offset_s(recording: Recording) -> float:
     """Return the calibrated time offset of the first camera [s]."""
     rig = recording.rig
-    return rig.time_offset_s + float(getattr(rig.cameras[0], "time_offset_s", 0.0))
+    return rig.time_offset_s + rig.cameras[0].time_offset_s
 
 
 def _exposure_ns(frame: CameraFrame, camera: int) -> int:
     """Return the time stamp of the image of a camera [ns]."""
-    delays: tuple[int, ...] = getattr(frame, "image_delays_ns", ())
+    delays = frame.image_delays_ns
     return frame.t_ns + (delays[camera] if delays else 0)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from dronevio.estimator.imu.buffer import NO_INCREMENTS, Increments
 from dronevio.estimator.initialization.initializer import InitializerConfig
 from dronevio.estimator.initialization.not_observable import ACCEL_DISAGREES, ROTATION_DISAGREES, NotObservable
-from dronevio.estimator.output import MIN_CAUSE_NS, Publisher
+from dronevio.estimator.output import CONTRADICTION, MAX_CONTRADICTION_NS, MIN_CAUSE_NS, REPEATED_IMAGES, Publisher
 from dronevio.estimator.types import NO_FEATURES, NO_MATCHES, FramePacket, Matches
 from dronevio.models.state import Health, HealthReport, NavState
 
@@ -70,6 +70,36 @@ def test_nothing_is_published_before_it_is_certain() -> None:
     later = [publisher.estimate(packet(), state(s), REPORT) for s in (1.0, 0.01)]
     assert later[0].state is None and later[0].health is Health.LOST
     assert later[1].events == ("recovered",)
+
+
+def test_a_first_state_that_contradicts_the_images_is_held_back() -> None:
+    """For as long as a search for the time offset takes; what agrees is published at once, and so is all after it."""
+    contradicting = HealthReport(Health.INERTIAL_ONLY, "images and prediction are inconsistent")
+
+    def published(publisher: Publisher, t_ns: int, report: HealthReport) -> bool:
+        found = publisher.estimate(replace(packet(), t_ns=t_ns), state(0.01), report)
+        assert found.state is not None or (found.health_report and found.health_report.reason.endswith(CONTRADICTION))
+        return found.state is not None
+
+    agreeing, late = new_publisher(), new_publisher()
+    assert not published(agreeing, -5, contradicting) and published(agreeing, 10**9, REPORT)
+    assert published(agreeing, 2 * 10**9, contradicting)
+    assert not published(late, -5, contradicting) and not published(late, MAX_CONTRADICTION_NS - 6, contradicting)
+    assert published(late, MAX_CONTRADICTION_NS - 5, contradicting)
+    agreeing.lost(packet(), HealthReport(Health.LOST, "a speed of 99 m/s"))
+    assert published(agreeing, 2 * 10**9 + 1, contradicting)  # after a loss, a pose is better than none
+
+
+def test_repeated_images_and_outliers_are_stated() -> None:
+    publisher = new_publisher()
+
+    def events_at(t_s: float, *, repeats: bool, outliers: int = 0) -> tuple[str, ...]:
+        at = replace(packet(), t_ns=round(t_s * 1e9), repeats_image=repeats, imu_outliers=outliers)
+        return publisher.without_state(at, "").events
+
+    assert events_at(0.0, repeats=True) == (REPEATED_IMAGES,)
+    assert events_at(0.5, repeats=False) == events_at(1.0, repeats=True) == events_at(2.0, repeats=True) == ()
+    assert events_at(3.1, repeats=True, outliers=2) == (REPEATED_IMAGES, "2 outlying samples of the IMU: left out")
 
 
 def test_cause_that_lasts_is_stated_once_for_each_cause() -> None:
