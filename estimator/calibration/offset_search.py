@@ -66,7 +66,7 @@ class OffsetSearch:
         self._searched_ns = now_ns
         imu = _samples(self._packets)
         found = rotation_offset(self._image_rotations(Ts_imu_cam), imu, range_s) if len(imu) > 1 else None
-        if found is None or not found.is_significant or abs(found.offset_s) < MIN_OFFSET_S:
+        if found is None or not found.excludes_zero or abs(found.offset_s) < MIN_OFFSET_S:
             return None
         return found
 

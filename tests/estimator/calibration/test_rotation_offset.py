@@ -106,6 +106,13 @@ def test_a_periodic_rotation_is_ambiguous() -> None:
     assert found is not None and not found.is_significant and found.ambiguity > 0.8
 
 
+@pytest.mark.parametrize(("sigma_rad", "excludes_zero"), [(2e-4, True), (4e-3, False)])
+def test_inaccurate_rotations_do_not_exclude_zero(sigma_rad: float, excludes_zero: bool) -> None:
+    """An offset of 12 ms turns these pairs by 3 mrad; rotations with larger errors agree with equal clocks, too."""
+    found = rotation_offset(seen(0.012, 0.1, sigma_rad), gyroscope(), RANGE_S)
+    assert found is not None and found.is_significant and found.excludes_zero is excludes_zero
+
+
 def test_without_rotation_there_is_no_offset() -> None:
     pairs, imu = seen(0.0), gyroscope()
     noise = 2e-4 * np.random.default_rng(2).normal(size=pairs.rotation_rad.shape)
