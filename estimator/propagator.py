@@ -191,10 +191,12 @@ class Propagator:
         """Return the predicted state at a frame that is not added yet, without covariance."""
         return self._propagation.predicted(packet.t_ns, packet.increments)
 
-    def is_keyframe_due(self, stationary_s: float, observations: Observations, innovation_px: float | None) -> bool:
+    def is_keyframe_due(
+        self, frame_s: float, stationary_s: float, observations: Observations, innovation_px: float | None
+    ) -> bool:
         """Return whether the last frame becomes a keyframe; see `KeyframePolicy.is_due`."""
         stationary_s = stationary_s if self._may_be_stationary else 0.0
-        return self._policy.is_due(self._propagation.elapsed_s, stationary_s, observations, innovation_px)
+        return self._policy.is_due(self._propagation.elapsed_s, frame_s, stationary_s, observations, innovation_px)
 
     def end_stationary(self) -> tuple[FramePacket | None, list[FramePacket]]:
         """Return to the last frame at which the vehicle was certainly stationary, if there is one since the keyframe.

@@ -307,7 +307,8 @@ class VisualInertialOdometry:
         )
         if report.health is Health.LOST:
             return self._lose(tracking, packet, report)
-        due = propagator.is_keyframe_due(stationary_s, packet.observations, report.innovation_px)
+        frame_s = packet.increments.duration_s
+        due = propagator.is_keyframe_due(frame_s, stationary_s, packet.observations, report.innovation_px)
         if not (due and packet.has_image):
             tracking.smoother.complete()
             self._online_calibration.step()

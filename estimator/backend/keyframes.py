@@ -18,9 +18,9 @@ class KeyframeConfig(Settings):
     """When a frame becomes a keyframe."""
 
     interval_s: Annotated[float, Range(0.01, 5.0)] = 0.2
-    """Longest time between keyframes in motion [s]."""
+    """Time between keyframes in motion, to the nearest frame [s]."""
     stationary_interval_s: Annotated[float, Range(0.01, 5.0)] = 0.5
-    """Time between keyframes while the drone is stationary [s]."""
+    """Time between keyframes while the drone is stationary, to the nearest frame [s]."""
     min_tracked: Annotated[float, Range(0.0, 1.0)] = 0.6
     """Smallest share of the last keyframe's features that is still tracked. With fewer, the frame becomes a keyframe
     before `interval_s`."""
@@ -48,33 +48,41 @@ class KeyframePolicy:
         self._ids = observations.ids
 
     def is_due(
-        self, elapsed_s: float, stationary_s: float, observations: Observations, innovation_px: float | None = None
+        self,
+        elapsed_s: float,
+        frame_s: float,
+        stationary_s: float,
+        observations: Observations,
+        innovation_px: float | None = None,
     ) -> bool:
         """Return whether a frame becomes a keyframe.
 
         Args:
             elapsed_s: Time since the last keyframe [s].
+            frame_s: Time since the last frame [s].
             stationary_s: Time for which the drone has been stationary [s].
             observations: Observations of the frame.
             innovation_px: Median innovation of the landmarks [px]; None without landmarks.
         """
         c = self._config
         if self.is_stationary(elapsed_s, stationary_s):
-            return self.is_interval_over(elapsed_s, stationary=True)
+            return self.is_interval_over(elapsed_s, frame_s, stationary=True)
         tracked = len(common_rows(self._ids, observations.ids)[0]) / len(self._ids) if len(self._ids) else 1.0
         is_implausible = (innovation_px or 0.0) > c.max_innovation_px
         is_implausible &= elapsed_s >= c.min_interval_s - TIME_TOLERANCE_S
-        return self.is_interval_over(elapsed_s, stationary=False) or tracked < c.min_tracked or is_implausible
+        is_late = self.is_interval_over(elapsed_s, frame_s, stationary=False)
+        return is_late or tracked < c.min_tracked or is_implausible
 
-    def is_interval_over(self, elapsed_s: float, stationary: bool) -> bool:
-        """Return whether the longest time between keyframes has elapsed.
+    def is_interval_over(self, elapsed_s: float, frame_s: float, *, stationary: bool) -> bool:
+        """Return whether no later frame is nearer to the end of the time between keyframes.
 
         Args:
             elapsed_s: Time since the last keyframe [s].
+            frame_s: Time since the last frame, and probably until the next one [s].
             stationary: Whether the drone has been stationary since then.
         """
         interval_s = self._config.stationary_interval_s if stationary else self._config.interval_s
-        return elapsed_s >= interval_s - TIME_TOLERANCE_S
+        return elapsed_s + 0.5 * frame_s >= interval_s - TIME_TOLERANCE_S
 
     @staticmethod
     def is_stationary(elapsed_s: float, stationary_s: float) -> bool:

@@ -133,8 +133,10 @@ class Initializer:
         """Return whether new features should be detected in a frame: if there are few, or at the keyframe interval."""
         if not packet.has_image:
             return False
-        since_ns = self._replenished_ns
-        due = since_ns is None or self._keyframes.is_interval_over((packet.t_ns - since_ns) * 1e-9, stationary=False)
+        since_ns, frame_s = self._replenished_ns, packet.increments.duration_s
+        due = since_ns is None or self._keyframes.is_interval_over(
+            (packet.t_ns - since_ns) * 1e-9, frame_s, stationary=False
+        )
         if due or len(packet.observations) < MIN_FEATURES:
             self._replenished_ns = packet.t_ns
             return True
@@ -280,7 +282,8 @@ class Initializer:
             if needs_matches:
                 is_due = len(packet.observations.matches) > 0
             else:
-                is_due = self._keyframes.is_interval_over(preintegration.duration_s, stationary)
+                frame_s = packet.increments.duration_s
+                is_due = self._keyframes.is_interval_over(preintegration.duration_s, frame_s, stationary=stationary)
             if is_due or packet is later[-1]:
                 rate = packet.increments.angular_velocity(bias.gyroscope())
                 keyframes.append(

@@ -55,7 +55,7 @@ def test_significant_velocity_excludes_stationary(sigma_m_s: float, stationary: 
     else:
         np.testing.assert_allclose(displacement_m, 0.35 * np.array([0.0, 0.03, 0.04]), atol=1e-9)
     # Keyframes are less frequent while the drone is stationary
-    assert drifting.is_keyframe_due(10.0, NO_FEATURES, None) == (not stationary)
+    assert drifting.is_keyframe_due(0.05, 10.0, NO_FEATURES, None) == (not stationary)
 
 
 def test_stationary_needs_the_whole_time_since_the_keyframe() -> None:
