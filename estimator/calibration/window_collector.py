@@ -3,11 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.window import WindowKeyframe
 
 PART_GROWTH = 1.4
 """Ratio of the lengths of successive parts of a window that are adjusted before it is complete."""
+MIN_COMMON = 8
+"""Smallest number of landmarks that successive keyframes of a window in motion observe both. With fewer, the IMU
+connects them, and a single wrong feature looks like another calibration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +67,8 @@ class WindowCollector:
         c = self._config
         if stationary and self._is_stationary:
             self._keyframes = []
+        if self._keyframes and not stationary and not _is_connected(self._keyframes[-1], keyframe):
+            self._keyframes = []
         if not self._keyframes:
             self._is_stationary = self._begins_stationary = stationary
             self._next_s = min(c.first_window_s, c.window_s) if stationary else c.window_s
@@ -75,3 +82,8 @@ class WindowCollector:
             self._next_s *= PART_GROWTH
             return CalibrationWindow(tuple(self._keyframes), self._begins_stationary, is_complete=False)
         return None
+
+
+def _is_connected(before: WindowKeyframe, after: WindowKeyframe) -> bool:
+    """Return whether two keyframes have enough landmarks in common."""
+    return len(np.intersect1d(before.ids, after.ids)) >= MIN_COMMON

@@ -5,7 +5,7 @@ which it was first observed, and every later frame is aligned with that patch by
 2 × 2 matrix, because the viewpoint changes. The comparison is invariant to gain and offset of the brightness. The
 method is the inverse compositional algorithm (Baker and Matthews, "Lucas-Kanade 20 years on", IJCV 2004), whose
 steepest-descent images are those of the reference patch and are computed once. A prior keeps the warp near that of the
-previous frame; without it, patches of little texture diverge.
+previous frame, as a random walk does; without it, patches of little texture diverge.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -24,10 +24,12 @@ Image = npt.NDArray[np.uint8]
 
 MAX_WARP_STEP = 0.3  # largest change of a warp element per iteration; with 0.5 the warp could become singular
 PIXEL_BLUR_PX = 0.3  # the area of a pixel blurs an image by 1/√12
+WARP = np.arange(2, 6)  # rows of the Hessian that belong to the warp
 MARGIN_PX = 24  # rows of padding above and below the image
 MAX_COORDINATE_PX = 1e4  # outside any image, within the range of cv2.remap
 NOISE_ROW_STRIDE = 16  # every sixteenth row suffices to estimate the noise of an image
 MEDIAN_OVER_SIGMA = 0.6745  # median of the absolute value of a standard normal variable
+WALK_S = 0.05  # time of the random walk to which `PatchConfig.warp_sigma` refers [s]
 MIN_NORM = 1e-3  # smallest norm of a patch [grey levels], so that uniform patches cause no division by zero
 
 
@@ -45,7 +47,7 @@ class PatchConfig(Settings):
     residual_sigma: Annotated[float, Range(above=0.0, high=1e3)] = 3.0
     """Standard deviation of the difference between two aligned patches [grey levels], which weights the warp prior."""
     warp_sigma: Annotated[float, Range(above=0.0, high=1e3)] = 0.05
-    """Standard deviation of the change of each element of the affine warp from one frame to the next."""
+    """Standard deviation of the change of each element of the affine warp within 50 ms, of a random walk."""
     blur_px: Annotated[float, Range(0.0, 10.0)] = 0.5
     """Standard deviation of the Gaussian blur applied before the comparison [px], which reduces interpolation errors
     and aliasing."""
@@ -74,10 +76,10 @@ class Templates:
     steepest_descent: Array32
     """(N, 6, P) Steepest-descent images: derivatives of the values with respect to the displacement (2) and to the
     warp (4, row by row), with the components of constant brightness and of contrast removed."""
-    inverse_hessian: Array32
-    """(N, 6, 6) Inverse of the Gauss-Newton approximation of the Hessian, warp prior included."""
+    hessian: Array32
+    """(N, 6, 6) Gauss-Newton approximation of the Hessian, without the warp prior."""
     prior_weight: Array32
-    """(N,) Weight of the prior on the warp."""
+    """(N,) Weight of the prior on the warp after 50 ms."""
     norm: Array32
     """(N,) Norm of the grey levels after subtraction of the mean [grey levels]."""
 
@@ -190,14 +192,17 @@ class PatchAligner:
         steepest_descent -= (steepest_descent @ template[:, :, None]) * template[:, None, :]
         prior_weight = (c.residual_sigma / (norm * c.warp_sigma)) ** 2
         H = steepest_descent @ steepest_descent.transpose(0, 2, 1)
-        H += prior_weight[:, None, None] * np.diag(np.array([0, 0, 1, 1, 1, 1], np.float32)) + 1e-9 * np.eye(
-            6, dtype=np.float32
-        )
+        H += 1e-9 * np.eye(6, dtype=np.float32)
         warp = np.tile(np.eye(2), (n, 1, 1))
-        return Patches(Templates(template, steepest_descent, np.linalg.inv(H), prior_weight, norm), np.arange(n), warp)
+        return Patches(Templates(template, steepest_descent, H, prior_weight, norm), np.arange(n), warp)
 
     def align(
-        self, image: ScaleSpace, patches: Patches, pixels: Array, iterations: int | None = None
+        self,
+        image: ScaleSpace,
+        patches: Patches,
+        pixels: Array,
+        iterations: int | None = None,
+        elapsed_s: float = WALK_S,
     ) -> PatchAlignment:
         """Align patches with an image.
 
@@ -206,18 +211,21 @@ class PatchAligner:
             patches: N patches with their predicted warps.
             pixels: (N, 2) Predicted positions [px], which may be off by one to two pixels.
             iterations: Number of Gauss-Newton iterations, 1 or more; that of a keyframe by default.
+            elapsed_s: Time since the image of the predicted warps [s].
         """
         c, warp, inverse_predicted = self._config, patches.warp, _inverse(patches.warp)
         templates, rows = patches.templates, patches.rows
-        values, inverse_hessian = templates.values[rows], templates.inverse_hessian[rows]
-        prior_weight, norm = templates.prior_weight[rows], templates.norm[rows]
+        values, norm = templates.values[rows], templates.norm[rows]
+        prior_weight = templates.prior_weight[rows] * np.float32(WALK_S / elapsed_s)
+        H = templates.hessian[rows]
+        H[:, WARP, WARP] += prior_weight[:, None]
         difference = np.zeros_like(templates.values)  # of all templates, whose largest array is not copied then
         for _ in range(c.iterations if iterations is None else iterations):
             current, _ = _normalized(self._sampled(image, pixels, warp))
             difference[rows] = current - values
             gradient = (templates.steepest_descent @ difference[:, :, None])[rows, :, 0]
             gradient[:, 2:] += prior_weight[:, None] * (inverse_predicted @ warp - np.eye(2)).reshape(-1, 4)
-            step = (inverse_hessian @ gradient[..., None])[..., 0].astype(np.float64)
+            step = np.linalg.solve(H, gradient[..., None])[..., 0].astype(np.float64)
             warp_step = np.clip(step[:, 2:], -MAX_WARP_STEP, MAX_WARP_STEP).reshape(-1, 2, 2)
             warp = warp @ _inverse(np.eye(2) + warp_step)
             pixels = pixels - np.einsum("nij,nj->ni", warp, step[:, :2])

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.frontend import klt
 from dronevio.estimator.frontend.corners import CornerConfig, detect_corners
-from dronevio.estimator.frontend.patches import PatchAligner, PatchConfig, Patches
+from dronevio.estimator.frontend.patches import WALK_S, PatchAligner, PatchConfig, Patches
 from dronevio.estimator.frontend.protocol import AtExposure, image_of, is_inside
 from dronevio.estimator.frontend.ransac import epipolar_inliers, essential_inliers
 from dronevio.estimator.types import Observations
@@ -111,6 +111,8 @@ class FeatureTracker:
         self._aligner = PatchAligner(config.patches)
         self._rng = np.random.default_rng(config.seed)
         self._image: Image | None = None  # the last image
+        self._image_ns = 0  # its time
+        self._elapsed_s = WALK_S  # between it and the image before
         self._unseen: tuple[Array, float] | None = None  # rotation and its σ since then; None if it is of this frame
         self._scale_space = self._aligner.scale_space(np.zeros((camera.height, camera.width), np.uint8))
         self._features = self._new_features(np.zeros((0, 2)))
@@ -139,6 +141,9 @@ class FeatureTracker:
         if image is None:
             return self._observations()
         previous, self._image = self._image, image
+        if previous is not None:
+            self._elapsed_s = (frame.t_ns - self._image_ns) * 1e-9
+        self._image_ns = frame.t_ns
         self._scale_space = self._aligner.scale_space(self._image)
         if previous is not None and len(self._features.ids):
             previous = klt.match_brightness(previous, self._image)
@@ -212,7 +217,7 @@ class FeatureTracker:
 
     def _moved(self, features: _Features, pixels: Array, iterations: int) -> _Features:
         """Return the features whose patches can be aligned near pixels (N, 2), by some iterations."""
-        result = self._aligner.align(self._scale_space, features.patches, pixels, iterations)
+        result = self._aligner.align(self._scale_space, features.patches, pixels, iterations, self._elapsed_s)
         correction_px = np.linalg.norm(result.pixels - pixels, axis=1)
         valid = result.valid & (correction_px < self._config.max_correction_px)
         valid &= is_inside(result.pixels, self._camera, self._config.border_px)
