@@ -121,6 +121,21 @@ def test_prior_limits_the_warp_along_an_edge() -> None:
     assert np.abs(result.patches.warp - np.eye(2)).max() < 0.1
 
 
+def test_the_warp_may_change_more_within_a_longer_time() -> None:
+    """The prior is a random walk: within a short time, the warp stays near the predicted one."""
+    aligner, weak = PatchAligner(CONFIG), PatchAligner(PatchConfig(warp_sigma=0.1))
+    target = aligner.scale_space(picture(1.06 * np.eye(2)))
+    start = warped(POINTS, 1.06 * np.eye(2), np.zeros(2))
+    scales = [
+        np.median(
+            each.align(target, each.extract(each.scale_space(picture()), POINTS), start, 1, elapsed_s).patches.scale
+        )
+        for each, elapsed_s in ((aligner, 0.005), (aligner, 0.05), (aligner, 0.2), (weak, 0.05))
+    ]
+    assert 1.0 < scales[0] < scales[1] < scales[2] < 1.07
+    assert scales[2] == pytest.approx(scales[3], rel=1e-6)  # twice the standard deviation after four times the time
+
+
 @pytest.mark.parametrize(("config", "median_px"), [(LARGE, 0.1), (CONFIG, 0.12)])
 def test_patches_are_aligned_up_to_twice_their_size(config: PatchConfig, median_px: float) -> None:
     """The scale grows in small steps; from 1.3 on, the copy of the image with more blur is compared."""

@@ -116,6 +116,19 @@ def test_tracking_recovers_from_a_wrong_prediction(wall: WallSequence, predicted
     assert np.median(error_px) < 0.15 and np.mean(error_px < 0.5) > 0.9
 
 
+def test_warps_follow_time_and_not_frames(wall: WallSequence) -> None:
+    """The same two images, a millisecond or a second apart, admit smaller and larger changes of scale."""
+    first, second = wall.frame(np.eye(3)), wall.frame(np.eye(3), np.array([0.0, 0.0, 0.25]))
+    scales = []
+    for elapsed_ns in (1_000_000, 1_000_000_000):
+        tracker = FeatureTracker(CAMERA, CONFIG)
+        tracker.track(first, np.eye(3))
+        tracker.replenish()
+        later = replace(second, t_ns=first.t_ns + elapsed_ns)
+        scales.append(float(np.median(tracker.track(later, np.eye(3)).scale)))
+    assert scales[0] < scales[1] - 0.01 < WALL_M / (WALL_M - 0.25)
+
+
 def track_sequence(wall: WallSequence, frames: int = 14) -> list[tuple[Observations, Observations]]:
     """Move sideways with a rotation, and return for each frame the features before and after replenishment."""
     tracker = FeatureTracker(CAMERA, CONFIG)
