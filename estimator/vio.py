@@ -57,7 +57,7 @@ EXCESSIVE_NOISE = (
     "vibration makes the IMU many times noisier than its data sheet: check its mount, its range and filter, and that no"
     " samples are left out without averaging"
 )
-"""Cause that is stated once, where `ImuNoiseEstimator.is_excessive`."""
+"""Cause that is stated once, where `ImuNoiseEstimator.is_excessive` or `is_aliased`."""
 
 IMPLAUSIBLE_CALIBRATION = (
     "images and calibration do not belong together: check the camera-IMU extrinsics, the lens model, the order of the"
@@ -358,8 +358,6 @@ class VisualInertialOdometry:
         self._noise.update(result.imu_variance)
         self._pipeline.discard(result.rejected)
         events = result.events
-        if self._noise.is_excessive and not self._is_noise_stated:
-            events, self._is_noise_stated = (*events, f"probable cause: {EXCESSIVE_NOISE}"), True
         self._report_keyframe(smoother, packet, result, is_connected)
         before, was_plausible = self._with_unverified_calibration(smoother.state), self._online_calibration.is_plausible
         if self._calibrate(tracking, packet, result, stationary):
@@ -467,7 +465,14 @@ class VisualInertialOdometry:
         published = self._with_unverified_calibration(estimate.state)
         if (report.innovation_px or 0.0) <= self._config.health.max_innovation_px:
             self._gauge = LastPublished.of(published)
-        return replace(estimate, state=published)
+        return replace(estimate, state=published, events=(*estimate.events, *self._noise_events()))
+
+    def _noise_events(self) -> tuple[str, ...]:
+        """Return the cause of excessive noise, once, with a state: events of states that are withheld are lost."""
+        if self._is_noise_stated or not (self._noise.is_excessive or self._noise.is_aliased):
+            return ()
+        self._is_noise_stated = True
+        return (f"probable cause: {EXCESSIVE_NOISE}",)
 
     def _with_corrected_calibration(self, report: HealthReport) -> HealthReport:
         """Return a health that is not tracking if a correction of the calibration, or the noise, contradicts it."""

@@ -197,7 +197,19 @@ def main(command: FaultyImusCommand) -> int:
                     (*(text for _, text in run.warnings), *corrections[-1:], "")[0][:60],
                 )
             )
-    titles = ("fault", "tracking", "inertial", "no pose", "ATE [mm]", "× none", "max σ", "of clean", "below 3 σ", "left out", "said")
+    titles = (
+        "fault",
+        "tracking",
+        "inertial",
+        "no pose",
+        "ATE [mm]",
+        "× none",
+        "max σ",
+        "of clean",
+        "below 3 σ",
+        "left out",
+        "said",
+    )
     print_table(f"{recording.name}, {command.frames} frames", titles, rows)
     return 0
 
