@@ -12,7 +12,7 @@ import pytest
 from dronevio.estimator.backend.marginal_prior import MarginalPrior
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.vio import EXCESSIVE_NOISE, VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
@@ -438,3 +438,10 @@ def test_nearly_constant_biases_are_accepted(make_flight: MakeFlight, walk: floa
     estimates = steady.run()
     assert [e.t_ns for e in estimates] == flight.frame_times_ns.tolist()
     assert ate_m(flight, poses(estimates)) < 0.02
+
+
+def test_excessive_noise_is_stated_once_and_with_a_state(make_flight: MakeFlight) -> None:
+    """Noise of sixty times the data sheet shows while the first states are too uncertain to be published."""
+    estimates = make_flight(5, rest_s=-5.0, duration_s=3.0, imu_noise=60.0).run()
+    stated = [any(EXCESSIVE_NOISE in event for event in estimate.events) for estimate in estimates]
+    assert sum(stated) == 1 and estimates[stated.index(True)].state is not None
