@@ -465,23 +465,28 @@ class VisualInertialOdometry:
         published = self._with_unverified_calibration(estimate.state)
         if (report.innovation_px or 0.0) <= self._config.health.max_innovation_px:
             self._gauge = LastPublished.of(published)
-        return replace(estimate, state=published, events=(*estimate.events, *self._noise_events()))
+        return self._with_noise(replace(estimate, state=published))
 
-    def _noise_events(self) -> tuple[str, ...]:
-        """Return the cause of excessive noise, once, with a state: events of states that are withheld are lost."""
+    def _with_noise(self, estimate: Estimate) -> Estimate:
+        """Return an estimate whose health is not tracking if vibration is aliased, with the cause of the noise, once.
+
+        Such an estimate is no contradiction, for which a first state is withheld; events of withheld states are lost.
+        """
+        report = estimate.health_report
+        if self._noise.is_aliased and estimate.health is Health.TRACKING and report is not None:
+            report = replace(report, health=Health.INERTIAL_ONLY, reason=EXCESSIVE_NOISE)
+            estimate = replace(estimate, health=report.health, health_report=report)
         if self._is_noise_stated or not (self._noise.is_excessive or self._noise.is_aliased):
-            return ()
+            return estimate
         self._is_noise_stated = True
-        return (f"probable cause: {EXCESSIVE_NOISE}",)
+        return replace(estimate, events=(*estimate.events, f"probable cause: {EXCESSIVE_NOISE}"))
 
     def _with_corrected_calibration(self, report: HealthReport) -> HealthReport:
-        """Return a health that is not tracking if a correction of the calibration, or the noise, contradicts it."""
+        """Return a health that is not tracking if a correction of the calibration contradicts it."""
         if report.health is not Health.TRACKING:
             return report
         if not self._online_calibration.is_plausible:
             return replace(report, health=Health.INERTIAL_ONLY, reason=IMPLAUSIBLE_CALIBRATION)
-        if self._noise.is_aliased:
-            return replace(report, health=Health.INERTIAL_ONLY, reason=EXCESSIVE_NOISE)
         if isinstance(self._state, Tracking) and not self._state.monitor.is_trusted:
             return replace(report, health=Health.INERTIAL_ONLY, reason=INCONSISTENT)
         return report

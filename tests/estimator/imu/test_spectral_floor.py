@@ -105,7 +105,7 @@ def test_vibration_is_aliased_where_samples_are_left_out(rate_hz: float, factor:
 
 
 @pytest.mark.parametrize(("rate_hz", "before"), [(200.0, False), (100.0, True)])
-def test_samples_that_are_left_out_decide_until_images_show_the_noise(rate_hz: float, before: bool) -> None:
+def test_samples_show_aliasing_before_images_do(rate_hz: float, before: bool) -> None:
     """Eight times the data sheet may be 32 times where vibration is aliased; images may show that it is not."""
     noise = estimator()
     noise.add_imu(samples(white(400, rate_hz, 8.0), rate_hz))
