@@ -95,8 +95,8 @@ class HealthConfig(Settings):
     It is the median over the last keyframes."""
     max_noise_ratio: Annotated[float, Range(above=0.0, infinite=True)] = 3.0
     """Largest ratio of the IMU's noise densities, as estimated in flight, to those of the data sheet in the covariance
-    of innovations, unless the samples themselves show more noise, at rest or by their spectrum. A wrong calibration
-    increases the estimates without bound."""
+    of innovations. A wrong calibration increases the estimates without bound. What the samples themselves show, at rest
+    or by their spectrum, counts in full."""
     max_inertial_sigma_m: Annotated[float, Range(above=0.0, infinite=True)] = 1.0
     """Largest increase of the position's standard deviation while the IMU alone propagates the estimate [m]. The IMU of
     EuRoC reaches it in some 10 s."""
@@ -183,7 +183,8 @@ class HealthMonitor:
         """
         sheet, ratio = (self._imu.gyro_noise_density, self._imu.accel_noise_density), self._config.max_noise_ratio
         known = zip(noise_densities, sheet, measured_densities, strict=True)
-        gyro, accel = (min(max(estimated, given), max(ratio * given, shown)) for estimated, given, shown in known)
+        # The estimate follows some seconds later, so that what the samples show counts at once.
+        gyro, accel = (max(given, min(estimated, ratio * given), shown) for estimated, given, shown in known)
         self._noise_densities = gyro, accel
         self._keyframe, self._landmarks = keyframe, landmarks
         if image_variance is not None:

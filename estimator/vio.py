@@ -57,7 +57,7 @@ EXCESSIVE_NOISE = (
     "vibration makes the IMU many times noisier than its data sheet: check its mount, its range and filter, and that no"
     " samples are left out without averaging"
 )
-"""Cause that is stated once, where `ImuNoiseEstimator.is_excessive`."""
+"""Cause that is stated once, where `ImuNoiseEstimator.is_excessive` or `is_aliased`."""
 
 IMPLAUSIBLE_CALIBRATION = (
     "images and calibration do not belong together: check the camera-IMU extrinsics, the lens model, the order of the"
@@ -359,8 +359,6 @@ class VisualInertialOdometry:
         self._noise.update(result.imu_variance)
         self._pipeline.discard(result.rejected)
         events = result.events
-        if self._noise.is_excessive and not self._is_noise_stated:
-            events, self._is_noise_stated = (*events, f"probable cause: {EXCESSIVE_NOISE}"), True
         self._report_keyframe(smoother, packet, result, is_connected)
         before, was_plausible = self._with_unverified_calibration(smoother.state), self._online_calibration.is_plausible
         if self._calibrate(tracking, packet, result, stationary):
@@ -468,16 +466,28 @@ class VisualInertialOdometry:
         published = self._with_unverified_calibration(estimate.state)
         if (report.innovation_px or 0.0) <= self._config.health.max_innovation_px:
             self._gauge = LastPublished.of(published)
-        return replace(estimate, state=published)
+        return self._with_noise(replace(estimate, state=published))
+
+    def _with_noise(self, estimate: Estimate) -> Estimate:
+        """Return an estimate whose health is not tracking if vibration is aliased, with the cause of the noise, once.
+
+        Such an estimate is no contradiction, for which a first state is withheld; events of withheld states are lost.
+        """
+        report = estimate.health_report
+        if self._noise.is_aliased and estimate.health is Health.TRACKING and report is not None:
+            report = replace(report, health=Health.INERTIAL_ONLY, reason=EXCESSIVE_NOISE)
+            estimate = replace(estimate, health=report.health, health_report=report)
+        if self._is_noise_stated or not (self._noise.is_excessive or self._noise.is_aliased):
+            return estimate
+        self._is_noise_stated = True
+        return replace(estimate, events=(*estimate.events, f"probable cause: {EXCESSIVE_NOISE}"))
 
     def _with_corrected_calibration(self, report: HealthReport) -> HealthReport:
-        """Return a health that is not tracking if a correction of the calibration, or the noise, contradicts it."""
+        """Return a health that is not tracking if a correction of the calibration contradicts it."""
         if report.health is not Health.TRACKING:
             return report
         if not self._online_calibration.is_plausible:
             return replace(report, health=Health.INERTIAL_ONLY, reason=IMPLAUSIBLE_CALIBRATION)
-        if self._noise.is_aliased:
-            return replace(report, health=Health.INERTIAL_ONLY, reason=EXCESSIVE_NOISE)
         if isinstance(self._state, Tracking) and not self._state.monitor.is_trusted:
             return replace(report, health=Health.INERTIAL_ONLY, reason=INCONSISTENT)
         return report

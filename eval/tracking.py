@@ -15,18 +15,18 @@ def is_tracking(run: EstimatorRun, trajectory: Trajectory) -> npt.NDArray[np.boo
     return np.isin(trajectory.t_ns, times_ns)
 
 
-def tracking_sigmas(run: EstimatorRun, truth: Trajectory) -> float | None:
-    """Return the largest error of position while a run reports that it tracks, in standard deviations.
+def tracking_errors(run: EstimatorRun, truth: Trajectory) -> npt.NDArray[np.float64] | None:
+    """Return the errors (N,) of position while a run reports that it tracks, in standard deviations.
 
     Position and yaw of the first pose are taken from the ground truth. The standard deviation is that along the least
     certain axis.
 
     Args:
         run: A run with at least one pose.
-        truth: Ground truth of the IMU.
+        truth: Ground truth of the IMU, or another run's trajectory to compare with.
 
     Returns:
-        The largest ratio; None if the run never tracks, or if it has no covariances.
+        The ratios, at the poses within the time of the truth; None if the run has no covariances, or no such pose.
     """
     true, rows = interpolate(truth, run.trajectory.t_ns)
     estimate = run.trajectory[rows]
@@ -34,7 +34,13 @@ def tracking_sigmas(run: EstimatorRun, truth: Trajectory) -> float | None:
         return None
     error_m, sigma_m = errors_and_sigmas_m(true, estimate)
     tracking = is_tracking(run, estimate)
-    return float(np.max(error_m[tracking] / sigma_m[tracking])) if tracking.any() else None
+    return np.asarray(error_m[tracking] / sigma_m[tracking])
+
+
+def tracking_sigmas(run: EstimatorRun, truth: Trajectory) -> float | None:
+    """Return the largest of `tracking_errors`; None if the run never tracks, or if it has no covariances."""
+    errors = tracking_errors(run, truth)
+    return None if errors is None or not len(errors) else float(errors.max())
 
 
 def longest_loss_s(run: EstimatorRun) -> float | None:

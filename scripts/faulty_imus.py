@@ -1,9 +1,11 @@
 """Estimate a recording with faulty IMU samples, and show what the odometry makes of them.
 
 Each fault is applied to the samples while they are read: outliers, strong vibration, samples left out, clocks that
-drift or are offset, a late accelerometer, and scale errors. Position and yaw are aligned for the ATE; for the largest
-error in standard deviations, position and yaw of the first pose are taken from the ground truth, so that a clean
-recording shows what the truth itself contributes::
+drift or are offset, a late accelerometer, and scale errors. Position and yaw are aligned for the ATE. Errors in
+standard deviations of the faulty run count while it is tracking, with position and yaw of the first pose: those from
+the ground truth include what the truth itself contributes, see the row of the clean recording; those from the run with
+the clean recording are due to the fault alone. "below 3 σ" is the share of that run's poses at which the faulty run is
+tracking with such an error below 3 σ::
 
     python scripts/faulty_imus.py MH_01_easy
     python scripts/faulty_imus.py V1_02 --cameras 2 --frames 800 --faults none 100-hz
@@ -27,7 +29,8 @@ from dronevio.driver import estimate_recording
 from dronevio.estimator.imu.outliers import outlying_samples
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.metrics.scores import score
-from dronevio.eval.tracking import tracking_sigmas
+from dronevio.eval.run import EstimatorRun
+from dronevio.eval.tracking import tracking_errors, tracking_sigmas
 from dronevio.models.imu import ImuSamples
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.state import Health
@@ -36,6 +39,7 @@ Array = npt.NDArray[np.float64]
 Fault = Callable[[ChangedRecording, np.random.Generator], ChangedRecording]
 
 FALSE_RATE_SAMPLES = 10_000
+CONSISTENT_SIGMAS = 3.0
 
 
 def of_imu(function: Callable[[ImuSamples, np.random.Generator], ImuSamples]) -> Fault:
@@ -152,6 +156,15 @@ def count_outliers(samples: ImuSamples) -> int:
     return int(any(int(found) * FALSE_RATE_SAMPLES > int(number) for _, number, found in rows))
 
 
+def compared(run: EstimatorRun, clean: EstimatorRun | None) -> tuple[str, str]:
+    """Return the largest error of a run against that with the clean recording, and its share below 3 σ, as cells."""
+    errors = None if clean is None or len(run.trajectory) < 1 else tracking_errors(run, clean.trajectory)
+    if clean is None or errors is None or not len(errors):
+        return "", ""
+    share = np.sum(errors < CONSISTENT_SIGMAS) / len(clean.trajectory)
+    return f"{errors.max():.1f}", f"{100.0 * share:.0f} %"
+
+
 def main(command: FaultyImusCommand) -> int:
     """Estimate the recording with all faults and print the table."""
     recording = open_recording(command.recording, command.cameras)
@@ -160,7 +173,7 @@ def main(command: FaultyImusCommand) -> int:
     truth = recording.ground_truth
     if truth is None:
         raise SystemExit(f"{command.recording}: no ground truth; expected a recording with the true motion")
-    section, rows, clean_m = section_of(recording, command.frames), [], None
+    section, rows, clean_m, clean = section_of(recording, command.frames), [], None, None
     for name in command.faults:
         for seed in command.seeds if re.search("outliers|wandering", name) else command.seeds[:1]:
             changed = FAULTS[name](section, np.random.default_rng(seed))
@@ -169,7 +182,7 @@ def main(command: FaultyImusCommand) -> int:
             has_poses = len(run.trajectory) > 2
             ate_m = score(truth, run.trajectory, run.t_ns).ate_m.rmse if has_poses else None
             sigmas = tracking_sigmas(run, truth) if has_poses else None
-            clean_m = ate_m if name == "none" else clean_m
+            clean_m, clean = (ate_m, run) if name == "none" else (clean_m, clean)
             corrections = [t for e in run.estimates for t in e.events if t.startswith("calibration corrected")]
             rows.append(
                 (
@@ -179,11 +192,24 @@ def main(command: FaultyImusCommand) -> int:
                     "" if ate_m is None else f"{1e3 * ate_m:.1f}",
                     "" if ate_m is None or clean_m is None else f"{ate_m / clean_m:.2f}",
                     "" if sigmas is None else f"{sigmas:.1f}",
+                    *compared(run, clean if name != "none" else None),
                     str(run.imu_outliers),
                     (*(text for _, text in run.warnings), *corrections[-1:], "")[0][:60],
                 )
             )
-    titles = ("fault", "tracking", "inertial", "no pose", "ATE [mm]", "× none", "max σ", "left out", "said")
+    titles = (
+        "fault",
+        "tracking",
+        "inertial",
+        "no pose",
+        "ATE [mm]",
+        "× none",
+        "max σ",
+        "of clean",
+        "below 3 σ",
+        "left out",
+        "said",
+    )
     print_table(f"{recording.name}, {command.frames} frames", titles, rows)
     return 0
 

@@ -230,6 +230,7 @@ class ImuNoiseEstimator:
         self._data_sheet = imu.gyro_noise_density, imu.accel_noise_density
         self._at_rest, self._floor = (0.0, 0.0), SpectralFloor()
         self._highest_floor, self._interval_s = np.zeros(2), 1.0 / imu.rate_hz
+        self._is_compared = False  # whether an interval has left the window
 
     @property
     def at_rest(self) -> tuple[float, float]:
@@ -258,8 +259,15 @@ class ImuNoiseEstimator:
 
     @property
     def is_aliased(self) -> bool:
-        """Whether samples are left out and vibration therefore appears as slow motion, which is no white noise."""
-        return self._are_left_out and self.is_excessive
+        """Whether samples are left out and vibration therefore appears as slow motion, which is no white noise.
+
+        Before the images have shown the noise of an interval, what the samples show decides.
+        """
+        return self._are_left_out and (self.is_excessive or (not self._is_compared and self._show_excess))
+
+    @property
+    def _show_excess(self) -> bool:
+        return any(x > EXCESSIVE_RATIO * sheet > 0.0 for x, sheet in zip(self._shown, self._data_sheet, strict=True))
 
     @property
     def _are_left_out(self) -> bool:
@@ -335,6 +343,7 @@ class ImuNoiseEstimator:
         """Add an interval, if there is one, and update the preintegration parameters."""
         if components is None:
             return
+        self._is_compared = True
         self._gyro.update(components.gyroscope)
         self._accel.update(components.accelerometer)
         self._params = self._params.with_noise(*self.densities)

@@ -18,7 +18,12 @@ from dronevio.estimator.backend.smoother import Keyframe, KeyframeSmoother
 from dronevio.estimator.imu.buffer import joined
 from dronevio.estimator.imu.noise import ImuNoiseEstimator
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationParams
-from dronevio.estimator.initialization.dynamic import DynamicInitializationConfig, initialize_dynamic, is_stereo
+from dronevio.estimator.initialization.dynamic import (
+    DynamicInitializationConfig,
+    DynamicStart,
+    initialize_dynamic,
+    is_stereo,
+)
 from dronevio.estimator.initialization.gauge import BiasPrior, Gauge
 from dronevio.estimator.initialization.not_observable import (
     NotObservable,
@@ -43,6 +48,8 @@ NO_SOLUTION = "images and IMU do not determine the motion: motion sideways past 
 """Reason where the smoother finds no solution."""
 NOISE_ROUNDS = 4
 """Largest number of initial adjustments in motion, each with the noise of the IMU that the one before has shown."""
+NOISY_ACCEL_BIAS_SIGMA_M_S2 = 0.03
+"""Standard deviation of the accelerometer bias in the starts of those after the first [m/s²]."""
 TIME_TOLERANCE_NS = 1_000_000
 """Tolerance of time spans, because time stamps jitter [ns]."""
 
@@ -216,15 +223,14 @@ class Initializer:
         self, window: Sequence[FramePacket], calibration: Calibration, gauge: Gauge, noise: ImuNoiseEstimator
     ) -> KeyframeSmoother | NotObservable:
         c = self._config
-        start = initialize_dynamic(
-            window,
-            calibration.Ts_imu_cam,
-            float(calibration.focal_px[0]),
-            c.dynamic,
-            replace(self._gyro_bias, sigma=max(self._gyro_bias.sigma, c.rest_gyro_bias_sigma_rad_s)),
-            self._accel_bias,
-            gravity_m_s2=noise.params.gravity_m_s2,
-        )
+        gyro_bias = replace(self._gyro_bias, sigma=max(self._gyro_bias.sigma, c.rest_gyro_bias_sigma_rad_s))
+        focal_px, gravity_m_s2 = float(calibration.focal_px[0]), noise.params.gravity_m_s2
+
+        def start_of(accel_bias: BiasPrior) -> DynamicStart | NotObservable:
+            Ts_imu_cam = calibration.Ts_imu_cam
+            return initialize_dynamic(window, Ts_imu_cam, focal_px, c.dynamic, gyro_bias, accel_bias, gravity_m_s2)
+
+        start = start_of(self._accel_bias)
         if isinstance(start, NotObservable):
             return start
         agreeing = [replace(packet, observations=packet.observations.without(start.outliers)) for packet in window]
@@ -234,6 +240,9 @@ class Initializer:
             )
             if smoother is None or not noise.raise_initial(smoother.initial_imu_variances):
                 break
+            # The start takes the IMU as exact but for its biases, so that it has taken the noise for one.
+            again = start_of(replace(self._accel_bias, sigma=NOISY_ACCEL_BIAS_SIGMA_M_S2))
+            start = start if isinstance(again, NotObservable) else again
         allowed_px = c.dynamic.max_residual_sigmas * c.dynamic.pixel_sigma
         if smoother is None:
             return NotObservable(NO_SOLUTION)

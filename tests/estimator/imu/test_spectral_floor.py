@@ -102,3 +102,17 @@ def test_vibration_is_aliased_where_samples_are_left_out(rate_hz: float, factor:
     assert noise.is_aliased == aliased
     assert noise.is_excessive == (factor > 1.0)
     assert noise.measured[1] / SHEET[1] == pytest.approx((4.0 if rate_hz < 200.0 else 1.0) * factor, rel=0.3)
+
+
+@pytest.mark.parametrize(("rate_hz", "before"), [(200.0, False), (100.0, True)])
+def test_samples_show_aliasing_before_images_do(rate_hz: float, before: bool) -> None:
+    """Eight times the data sheet may be 32 times where vibration is aliased; images may show that it is not."""
+    noise = estimator()
+    noise.add_imu(samples(white(400, rate_hz, 8.0), rate_hz))
+    assert not noise.is_excessive
+    assert noise.is_aliased is before
+    noise.update(None)
+    assert noise.is_aliased is before
+    component = VarianceComponent(0.5, 0.5, 0.0)
+    noise.update(ImuVarianceComponents(component, component))
+    assert not noise.is_aliased

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -270,3 +270,31 @@ def test_landmarks_of_one_frame_are_not_used() -> None:
         observations = Observations(np.array(ids), xy, xy, np.ones(len(ids), np.int64))
         packets.append(replace(packet, observations=observations))
     assert collect_tracks(packets, 16, 6).ids.tolist() == [1, 2]
+
+
+@pytest.mark.parametrize("imu_noise", [1.0, 30.0])
+def test_noise_is_not_taken_for_an_accelerometer_bias(
+    make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch, imu_noise: float
+) -> None:
+    """Once residuals show more noise, the start is repeated with a bias that is hardly free."""
+    flight, priors, biases = make_flight(2, rest_s=-5.0, duration_s=2.0, imu_noise=imu_noise), [], []
+    initialize = module.initialize_dynamic
+
+    def recorded(*arguments: Any) -> Any:
+        start = initialize(*arguments)
+        if not isinstance(start, NotObservable):
+            priors.append(arguments[5])
+            biases.append(float(np.linalg.norm(start.state.accel_bias_m_s2)))
+        return start
+
+    monkeypatch.setattr(module, "initialize_dynamic", recorded)
+    gauge, noise = WorldOrigin(gyro_bias_sigma_rad_s=0.05, accel_bias_sigma_m_s2=0.1), noise_of(flight)
+    noise.add_imu(flight.imu)
+    initializer = initializer_at(gauge)
+    results = [initializer.add(packet, 0.0, Calibration(flight.rig), gauge, noise) for packet in packets_of(flight, 31)]
+    assert isinstance(results[-1], KeyframeSmoother)
+    assert priors[0].sigma == 0.1
+    assert (len(priors) > 1) is (imu_noise > 1.0)
+    for prior, bias in zip(priors[1:], biases[1:], strict=True):
+        assert prior.sigma == module.NOISY_ACCEL_BIAS_SIGMA_M_S2
+        assert bias < 0.5 * biases[0]
