@@ -145,6 +145,9 @@ class Initializer:
         *before, last = self._window or [packet]
         if last is not packet and not last.has_image:  # as if there were no such frame
             packet, self._window = replace(packet, increments=joined([last.increments, packet.increments])), before
+        since_s = (packet.t_ns - self._window[-1].t_ns) * 1e-9 if self._window else 0.0
+        if since_s - packet.increments.duration_s > TIME_TOLERANCE_NS * 1e-9:
+            self._window = []  # the samples of the IMU begin after these frames
         self._window = [*self._window, packet]
         self._window = self._since(packet.t_ns, self._config.longest_window_s)
 
@@ -225,6 +228,8 @@ class Initializer:
         )
         if isinstance(start, NotObservable):
             return start
+        if start.clocks is not None and not self._is_window_full:
+            return start.clocks
         agreeing = [replace(packet, observations=packet.observations.without(start.outliers)) for packet in window]
         for _ in range(NOISE_ROUNDS):
             smoother, error_px = self._adjusted(
@@ -241,6 +246,11 @@ class Initializer:
             f"images and IMU agree within {error_px:.1f} px only, {allowed_px:g} px are needed: steady motion past near"
             " objects that do not move helps"
         )
+
+    @property
+    def _is_window_full(self) -> bool:
+        span_s = (self._window[-1].t_ns - self._window[0].t_ns) * 1e-9
+        return span_s >= self._config.longest_window_s - TIME_TOLERANCE_NS * 1e-9
 
     def _since(self, t_ns: int, span_s: float) -> list[FramePacket]:
         """Return the fewest packets that span the last ``span_s`` seconds, or all that there are."""
