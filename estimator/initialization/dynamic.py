@@ -43,8 +43,9 @@ Array = npt.NDArray[np.float64]
 
 TIME_OFFSET_SIGMA_S = 0.1
 """Standard deviation of the time offset of camera and IMU, where it is tested [s]: that of clocks that differ."""
-MIN_TIME_OFFSET_S = 0.008
-"""Smallest time offset that speaks against a start [s]; the online calibration finds smaller ones."""
+MIN_TIME_OFFSET_S = 0.01
+"""Smallest time offset that speaks against a start [s]: somewhat more than the smallest one that the search adopts.
+The online calibration finds smaller ones."""
 TIME_OFFSET_SIGMAS = 3.0
 """Smallest significance of such an offset, in standard deviations."""
 

@@ -145,9 +145,6 @@ class Initializer:
         *before, last = self._window or [packet]
         if last is not packet and not last.has_image:  # as if there were no such frame
             packet, self._window = replace(packet, increments=joined([last.increments, packet.increments])), before
-        since_s = (packet.t_ns - self._window[-1].t_ns) * 1e-9 if self._window else 0.0
-        if since_s - packet.increments.duration_s > TIME_TOLERANCE_NS * 1e-9:
-            self._window = []  # the samples of the IMU begin after these frames
         self._window = [*self._window, packet]
         self._window = self._since(packet.t_ns, self._config.longest_window_s)
 
