@@ -168,6 +168,7 @@ def initialize_dynamic(
     try:
         initial = solve_closed_form(measured, rotation.bias_rad_s, rotation.weights, noise)
         refined = refine(measured, initial, gyro_bias, noise)
+        free = refine(measured, refined.state, gyro_bias, noise, TIME_OFFSET_SIGMA_S)
     except np.linalg.LinAlgError:
         return NotObservable("no motion explains images and IMU together", cause)
     state = refined.state
@@ -180,14 +181,14 @@ def initialize_dynamic(
     return DynamicStart(
         NavState(window[0].t_ns, pose, velocity, state.gyro_bias, state.accel_bias),
         tracks.ids[~refined.inliers],
-        _evidence_of_time_offset(refine(measured, state, gyro_bias, noise, TIME_OFFSET_SIGMA_S)),
+        _evidence_of_time_offset(free),
     )
 
 
 def _evidence_of_time_offset(free: RefinedState) -> NotObservable | None:
     """Return what a state says against the time offset in use, if it was estimated with the time offset as unknown."""
     offset_s, sigma_s = free.state.time_offset_s, free.time_offset_sigma_s
-    if abs(offset_s) < max(MIN_TIME_OFFSET_S, TIME_OFFSET_SIGMAS * sigma_s):
+    if not abs(offset_s) >= max(MIN_TIME_OFFSET_S, TIME_OFFSET_SIGMAS * sigma_s):
         return None
     return NotObservable(
         f"a time offset of camera and IMU of {1e3 * offset_s:+.0f} ± {1e3 * sigma_s:.0f} ms explains them much better",

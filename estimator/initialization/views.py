@@ -109,7 +109,7 @@ class ImuWindow:
         rows = (
             np.searchsorted(self._t_s, wanted_s) if shift_s > 0.0 else np.searchsorted(self._t_s, wanted_s, "right") - 1
         )
-        return np.clip(rows, 0, len(self._t_s) - 1)
+        return np.asarray(np.clip(rows, 0, len(self._t_s) - 1))
 
     def _all_rotations(self, gyro_bias_rad_s: Array) -> Array:
         increments = self._increments
