@@ -55,6 +55,9 @@ class WindowState:
     """(3,) Accelerometer bias [m/s²]."""
     gyro_bias: Array
     """(3,) Gyroscope bias [rad/s]."""
+    time_offset_s: float = 0.0
+    """Time offset of camera and IMU relative to the one in use [s]: how much later than assumed the frames were
+    exposed."""
 
     @cached_property
     def y(self) -> Array:

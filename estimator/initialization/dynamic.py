@@ -22,6 +22,7 @@ from dronevio.estimator.initialization.gauge import BiasPrior
 from dronevio.estimator.initialization.gyro_bias import EpipolarSolution, epipolar_gyro_bias
 from dronevio.estimator.initialization.not_observable import (
     ACCEL_DISAGREES,
+    CLOCKS_DISAGREE,
     MOTION_DISAGREES,
     ROTATION_DISAGREES,
     NotObservable,
@@ -39,6 +40,14 @@ from dronevio.models.rotation import pose_matrix
 from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
+
+TIME_OFFSET_SIGMA_S = 0.1
+"""Standard deviation of the time offset of camera and IMU, where it is tested [s]: that of clocks that differ."""
+MIN_TIME_OFFSET_S = 0.01
+"""Smallest time offset that speaks against a start [s]: somewhat more than the smallest one that the search adopts.
+The online calibration finds smaller ones."""
+TIME_OFFSET_SIGMAS = 3.0
+"""Smallest significance of such an offset, in standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +116,8 @@ class DynamicStart:
     """State at the first frame of the window."""
     outliers: Integers
     """(N,) Identities of the features that disagree with it."""
+    clocks: NotObservable | None = None
+    """The evidence that the time offset of camera and IMU is another one, if there is any."""
 
 
 def is_stereo(window: Sequence[FramePacket], config: DynamicInitializationConfig) -> bool:
@@ -157,6 +168,7 @@ def initialize_dynamic(
     try:
         initial = solve_closed_form(measured, rotation.bias_rad_s, rotation.weights, noise)
         refined = refine(measured, initial, gyro_bias, noise)
+        free = refine(measured, refined.state, gyro_bias, noise, TIME_OFFSET_SIGMA_S)
     except np.linalg.LinAlgError:
         return NotObservable("no motion explains images and IMU together", cause)
     state = refined.state
@@ -167,7 +179,20 @@ def initialize_dynamic(
     R_world_imu = level_rotation(-state.gravity)
     pose, velocity = pose_matrix(R_world_imu, np.zeros(3)), R_world_imu @ state.velocity
     return DynamicStart(
-        NavState(window[0].t_ns, pose, velocity, state.gyro_bias, state.accel_bias), tracks.ids[~refined.inliers]
+        NavState(window[0].t_ns, pose, velocity, state.gyro_bias, state.accel_bias),
+        tracks.ids[~refined.inliers],
+        _evidence_of_time_offset(free),
+    )
+
+
+def _evidence_of_time_offset(free: RefinedState) -> NotObservable | None:
+    """Return what a state says against the time offset in use, if it was estimated with the time offset as unknown."""
+    offset_s, sigma_s = free.state.time_offset_s, free.time_offset_sigma_s
+    if not abs(offset_s) >= max(MIN_TIME_OFFSET_S, TIME_OFFSET_SIGMAS * sigma_s):
+        return None
+    return NotObservable(
+        f"a time offset of camera and IMU of {1e3 * offset_s:+.0f} ± {1e3 * sigma_s:.0f} ms explains them much better",
+        CLOCKS_DISAGREE,
     )
 
 

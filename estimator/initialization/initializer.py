@@ -233,6 +233,8 @@ class Initializer:
         start = start_of(self._accel_bias)
         if isinstance(start, NotObservable):
             return start
+        if start.clocks is not None and not self._is_window_full:
+            return start.clocks
         agreeing = [replace(packet, observations=packet.observations.without(start.outliers)) for packet in window]
         for _ in range(NOISE_ROUNDS):
             smoother, error_px = self._adjusted(
@@ -252,6 +254,11 @@ class Initializer:
             f"images and IMU agree within {error_px:.1f} px only, {allowed_px:g} px are needed: steady motion past near"
             " objects that do not move helps"
         )
+
+    @property
+    def _is_window_full(self) -> bool:
+        span_s = (self._window[-1].t_ns - self._window[0].t_ns) * 1e-9
+        return span_s >= self._config.longest_window_s - TIME_TOLERANCE_NS * 1e-9
 
     def _since(self, t_ns: int, span_s: float) -> list[FramePacket]:
         """Return the fewest packets that span the last ``span_s`` seconds, or all that there are."""

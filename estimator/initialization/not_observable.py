@@ -23,6 +23,8 @@ MOTION_DISAGREES = (
     "time stamps, or most of what is visible moves"
 )
 """Cause of a failed initialization where the rotations are too slow to tell gyroscope from accelerometer."""
+CLOCKS_DISAGREE = "the clocks of camera and IMU disagree: check the time stamps, and the time offset of the calibration"
+"""Cause of a failed initialization where another time offset explains images and IMU much better."""
 FORCE_IS_NOT_GRAVITY = "the specific force is not that of gravity: check the units of the accelerometer"
 """Cause of a failed initialization where the accelerometer cannot measure m/s²."""
 SENSORS_SWAPPED = (

@@ -25,9 +25,12 @@ Array = npt.NDArray[np.float64]
 
 STEPS = 4
 """Number of Gauss-Newton steps."""
-_STATE = 11  # velocity, gravity on the sphere, accelerometer bias, gyroscope bias
-_ACCEL_BIAS, _GYRO_BIAS = slice(5, 8), slice(8, 11)
+KNOWN_SIGMA_S = 1e-9
+"""Standard deviation of a time offset that is known [s]."""
+_STATE = 12  # velocity, gravity on the sphere, accelerometer bias, gyroscope bias, time offset
+_ACCEL_BIAS, _GYRO_BIAS, _TIME_OFFSET = slice(5, 8), slice(8, 11), 11
 _DIFFERENCE_RAD_S = 1e-4  # step of the numeric derivatives by the gyroscope bias
+_DIFFERENCE_S = 0.0025  # least step of those by the time offset
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +47,8 @@ class RefinedState:
     """(F,) Mean depths of the landmarks [m]."""
     velocity_covariance: Array
     """(3, 3) Covariance of the velocity [m²/s²]."""
+    time_offset_sigma_s: float
+    """Standard deviation of the time offset [s]."""
 
     @property
     def inliers(self) -> npt.NDArray[np.bool_]:
@@ -51,7 +56,13 @@ class RefinedState:
         return np.asarray(self.weights >= INLIER_WEIGHT)
 
 
-def refine(measured: WindowMeasurements, state: WindowState, gyro_bias: BiasPrior, noise: NoiseModel) -> RefinedState:
+def refine(
+    measured: WindowMeasurements,
+    state: WindowState,
+    gyro_bias: BiasPrior,
+    noise: NoiseModel,
+    time_offset_sigma_s: float = KNOWN_SIGMA_S,
+) -> RefinedState:
     """Return the state that minimizes the reprojection errors.
 
     Args:
@@ -59,21 +70,25 @@ def refine(measured: WindowMeasurements, state: WindowState, gyro_bias: BiasPrio
         state: Initial value.
         gyro_bias: What is known of the gyroscope bias from elsewhere [rad/s].
         noise: Assumptions on the measurements.
+        time_offset_sigma_s: Standard deviation of the time offset of camera and IMU, which is expected to be the one in
+            use [s].
     """
     geometry = _geometry(measured, state.gyro_bias)
     landmarks = LinearSystem.of(measured, geometry).B @ state.y
     for _ in range(STEPS):
         equations = _Equations.at(measured, state, landmarks, noise)
-        H, h = equations.with_priors(state, gyro_bias, noise)
+        H, h = equations.with_priors(state, gyro_bias, noise, time_offset_sigma_s)
         change = np.asarray(np.linalg.solve(H, -h))
         landmarks = landmarks - equations.landmark_steps @ np.append(change, 1.0)
         state = _changed(state, change)
     equations = _Equations.at(measured, state, landmarks, noise)
-    covariance = np.asarray(np.linalg.inv(equations.with_priors(state, gyro_bias, noise)[0]))
+    covariance = np.asarray(np.linalg.inv(equations.with_priors(state, gyro_bias, noise, time_offset_sigma_s)[0]))
     freedom = equations.weights * measured.tracks.degrees_of_freedom
     variance_factor = max(float(equations.squares @ freedom) / float(freedom.sum()), 1.0)
+    covariance *= variance_factor
+    offset_sigma_s = float(np.sqrt(covariance[_TIME_OFFSET, _TIME_OFFSET]))
     return RefinedState(
-        state, equations.weights, equations.squares, equations.depth_m, variance_factor * covariance[:3, :3]
+        state, equations.weights, equations.squares, equations.depth_m, covariance[:3, :3], offset_sigma_s
     )
 
 
@@ -81,9 +96,9 @@ def refine(measured: WindowMeasurements, state: WindowState, gyro_bias: BiasPrio
 class _Equations:
     """Normal equations of the state, with the landmarks eliminated."""
 
-    H: Array  # (11, 11)
-    h: Array  # (11,) the gradient
-    landmark_steps: Array  # (F, 3, 12) the landmarks change by minus this times the change of the state and 1
+    H: Array  # (12, 12)
+    h: Array  # (12,) the gradient
+    landmark_steps: Array  # (F, 3, 13) the landmarks change by minus this times the change of the state and 1
     weights: Array
     squares: Array
     depth_m: Array
@@ -97,7 +112,8 @@ class _Equations:
         noise: NoiseModel,
     ) -> "_Equations":
         tracks, geometry = measured.tracks, _geometry(measured, state.gyro_bias)
-        in_cameras = geometry.in_cameras(landmarks, state.y)
+        at_frames, by_offset = geometry.in_cameras(landmarks, state.y), _by_time_offset(measured, state, landmarks)
+        in_cameras = at_frames + state.time_offset_s * by_offset
         z = np.maximum(np.abs(in_cameras[..., 2:]), MIN_DEPTH_M)
         xy = in_cameras[..., :2] / z
         known = tracks.observed[..., None] / noise.xy_sigma
@@ -109,12 +125,11 @@ class _Equations:
         J_landmark = projection @ np.swapaxes(geometry.R_first_cam, 1, 2)[:, None]
         J_linear = J_landmark @ (geometry.Q[..., :9] @ _tangents(state))[:, None]
         by_bias = [
-            (_geometry(measured, state.gyro_bias + step).in_cameras(landmarks, state.y) - in_cameras)
-            / _DIFFERENCE_RAD_S
+            (_geometry(measured, state.gyro_bias + step).in_cameras(landmarks, state.y) - at_frames) / _DIFFERENCE_RAD_S
             for step in _DIFFERENCE_RAD_S * np.eye(3)
         ]
-        J_bias = projection @ np.stack(by_bias, axis=-1)
-        J = np.concatenate([J_landmark, J_linear, J_bias, residuals[..., None]], axis=-1)
+        J_others = projection @ np.stack([*by_bias, by_offset], axis=-1)
+        J = np.concatenate([J_landmark, J_linear, J_others, residuals[..., None]], axis=-1)
         J = np.moveaxis(J, 1, 0).reshape(len(tracks), -1, J.shape[-1])  # one block of 2V rows per landmark
         products = np.swapaxes(J, 1, 2) @ J
         eliminated = np.linalg.solve(products[:, :3, :3] + 1e-9 * np.eye(3), products[:, :3, 3:])
@@ -126,8 +141,10 @@ class _Equations:
         depth_m = mean_depth_m(measured, in_cameras)
         return cls(total[:_STATE, :_STATE], total[:_STATE, _STATE], eliminated, weights, squares, depth_m)
 
-    def with_priors(self, state: WindowState, gyro_bias: BiasPrior, noise: NoiseModel) -> tuple[Array, Array]:
-        """Return matrix and gradient with the priors of the biases."""
+    def with_priors(
+        self, state: WindowState, gyro_bias: BiasPrior, noise: NoiseModel, time_offset_sigma_s: float
+    ) -> tuple[Array, Array]:
+        """Return matrix and gradient with the priors of the biases and of the time offset."""
         H, h = self.H.copy(), self.h.copy()
         for rows, bias, prior in (
             (_ACCEL_BIAS, state.accel_bias, noise.accel_bias),
@@ -135,11 +152,22 @@ class _Equations:
         ):
             H[rows, rows] += np.eye(3) / prior.sigma**2
             h[rows] += (bias - prior.mean) / prior.sigma**2
+        H[_TIME_OFFSET, _TIME_OFFSET] += 1.0 / time_offset_sigma_s**2
+        h[_TIME_OFFSET] += state.time_offset_s / time_offset_sigma_s**2
         return H, h
 
 
 def _geometry(measured: WindowMeasurements, gyro_bias: Array) -> ViewGeometry:
     return ViewGeometry.of(measured.imu.integrated(gyro_bias), measured.Ts_imu_cam)
+
+
+def _by_time_offset(measured: WindowMeasurements, state: WindowState, landmarks: Array) -> Array:
+    """Return the derivatives (V, F, 3) of the positions in the cameras by the time of the exposures [m/s]."""
+    earlier, later = (measured.imu.integrated(state.gyro_bias, shift) for shift in (-_DIFFERENCE_S, _DIFFERENCE_S))
+    before, after = (
+        ViewGeometry.of(motion, measured.Ts_imu_cam).in_cameras(landmarks, state.y) for motion in (earlier, later)
+    )
+    return np.asarray((after - before) / (later.t_s - earlier.t_s)[:, None, None])
 
 
 def _tangents(state: WindowState) -> Array:
@@ -151,9 +179,10 @@ def _tangents(state: WindowState) -> Array:
 
 
 def _changed(state: WindowState, change: Array) -> WindowState:
-    """Return a state after a change (11,)."""
+    """Return a state after a change (12,)."""
     linear = _tangents(state) @ change[:8]
     gravity = state.gravity + linear[3:6]
     gravity *= np.linalg.norm(state.gravity) / np.linalg.norm(gravity)
     accel_bias, gyro_bias = state.accel_bias + linear[6:], state.gyro_bias + change[_GYRO_BIAS]
-    return WindowState(state.velocity + linear[:3], gravity, accel_bias, gyro_bias)
+    time_offset_s = state.time_offset_s + float(change[_TIME_OFFSET])
+    return WindowState(state.velocity + linear[:3], gravity, accel_bias, gyro_bias, time_offset_s)

@@ -66,24 +66,26 @@ class ImuWindow:
         """
         self._increments: Increments = joined([packet.increments for packet in window[1:]])
         ends = np.concatenate([[0], np.cumsum([len(packet.increments.dt_s) for packet in window[1:]])])
+        self._t_s = np.concatenate([[0.0], np.cumsum(self._increments.dt_s)])
         self._rows = ends[frames]
 
     def rotations(self, gyro_bias_rad_s: Array) -> Array:
         """Return the rotations R_first_view (V, 3, 3) for a gyroscope bias (3,) [rad/s]."""
         return np.asarray(self._all_rotations(gyro_bias_rad_s)[self._rows])
 
-    def integrated(self, gyro_bias_rad_s: Array) -> Motion:
-        """Return the motion for a gyroscope bias (3,) [rad/s], and zero accelerometer bias."""
-        dt_s = self._increments.dt_s
+    def integrated(self, gyro_bias_rad_s: Array, shift_s: float = 0.0) -> Motion:
+        """Return the motion for a gyroscope bias (3,) [rad/s], and zero accelerometer bias.
+
+        Args:
+            gyro_bias_rad_s: The bias.
+            shift_s: How much later than the views the motion is wanted at least, or earlier where it is negative [s];
+                it is that at the nearest sample, and ends with the window.
+        """
+        rows, dt_s = self._shifted_rows(shift_s), self._increments.dt_s
         R = self._all_rotations(gyro_bias_rad_s)
         dv = np.einsum("nij,nj->ni", R[:-1], self._increments.accel_m_s2) * dt_s[:, None]
         dv_by_bias = -R[:-1] * dt_s[:, None, None]
-        return Motion(
-            np.concatenate([[0.0], np.cumsum(dt_s)])[self._rows],
-            R[self._rows],
-            _summed_twice(dv, dt_s)[self._rows],
-            _summed_twice(dv_by_bias, dt_s)[self._rows],
-        )
+        return Motion(self._t_s[rows], R[rows], _summed_twice(dv, dt_s)[rows], _summed_twice(dv_by_bias, dt_s)[rows])
 
     @property
     def gyro_rad_s(self) -> Array:
@@ -99,6 +101,15 @@ class ImuWindow:
     def angular_velocity_deviation_rad_s(self) -> float:
         """Standard deviation of the angular velocity over the window, of all axes together [rad/s]."""
         return float(np.sqrt(np.var(self._increments.gyro_rad_s, axis=0).sum()))
+
+    def _shifted_rows(self, shift_s: float) -> Integers:
+        if not shift_s:
+            return self._rows
+        wanted_s = self._t_s[self._rows] + shift_s
+        rows = (
+            np.searchsorted(self._t_s, wanted_s) if shift_s > 0.0 else np.searchsorted(self._t_s, wanted_s, "right") - 1
+        )
+        return np.asarray(np.clip(rows, 0, len(self._t_s) - 1))
 
     def _all_rotations(self, gyro_bias_rad_s: Array) -> Array:
         increments = self._increments

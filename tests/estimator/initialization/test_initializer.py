@@ -1,5 +1,6 @@
 """The initializer: when a window of frame packets yields a smoother, on synthetic flights."""
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ from dronevio.estimator.imu.preintegration import PreintegrationConfig
 from dronevio.estimator.initialization import initializer as module
 from dronevio.estimator.initialization.gauge import Gauge, LastPublished, WorldOrigin
 from dronevio.estimator.initialization.initializer import Initializer, InitializerConfig
-from dronevio.estimator.initialization.not_observable import FORCE_IS_NOT_GRAVITY, NotObservable
+from dronevio.estimator.initialization.not_observable import CLOCKS_DISAGREE, FORCE_IS_NOT_GRAVITY, NotObservable
 from dronevio.estimator.initialization.views import collect_tracks
 from dronevio.estimator.types import NO_FEATURES, Calibration, FramePacket, Matches, Observations
 from dronevio.models.imu import GRAVITY_M_S2
@@ -32,6 +33,11 @@ if TYPE_CHECKING:
 
 MakeFlight = Callable[..., "SyntheticFlight"]
 FRAME_S = 0.05
+LIVELY = {
+    "angles_rad": np.array([[0.45, 0.075], [0.1, 0.06], [0.1, 0.06]]),
+    "angle_rates": np.array([[0.5, 5.0], [3.1, 7.0], [2.9, 6.3]]),
+}
+"""Rotations of a small vehicle or of a hand-held camera."""
 CONFIG = InitializerConfig()
 
 
@@ -240,6 +246,52 @@ def test_rest_between_two_frames_is_no_rest(make_flight: MakeFlight, monkeypatch
     assert attempts and isinstance(result, NotObservable) and result.reason == "a reason in motion"
     np.testing.assert_array_equal(initializer.gyro_bias.mean, gauge.gyro_bias.mean)  # not the rotation of two frames
     assert initializer.gyro_bias.sigma == gauge.gyro_bias.sigma
+
+
+def seen_by_both(packet: FramePacket, flight: "SyntheticFlight", rig: Rig) -> FramePacket:
+    """Return a packet in motion, where identities are not those of landmarks, with matches in the second camera."""
+    T_world_imu, seen = flight.state_at(packet.t_ns).T_world_imu, packet.observations
+    first, second = (
+        flight.landmarks @ T[:3, :3].T + T[:3, 3]
+        for T in (inverse_pose(T_world_imu @ camera.T_imu_cam) for camera in rig.cameras)
+    )
+    xy = np.where(first[:, 2:] > 0.1, first[:, :2] / first[:, 2:], np.inf)
+    landmark = np.linalg.norm(seen.xy[:, None] - xy, axis=-1).argmin(axis=1)
+    matches = Matches(seen.ids, np.ones(len(seen), np.int64), second[landmark, :2] / second[landmark, 2:])
+    return replace(packet, observations=replace(seen, matches=matches))
+
+
+def restamped(packets: Sequence[FramePacket], flight: "SyntheticFlight", offset_s: float) -> list[FramePacket]:
+    """Return packets of a flight whose frames are stamped so that t_imu = t_cam + offset."""
+    buffer, later = ImuBuffer(), []
+    buffer.add(flight.imu)
+    for packet in packets:
+        t_ns = packet.t_ns - round(1e9 * offset_s)
+        later.append(replace(packet, t_ns=t_ns, increments=buffer.take_until(t_ns)))
+    return later
+
+
+@pytest.mark.parametrize("every", [1, 2])
+@pytest.mark.parametrize("offset_s", [0.0, 0.004, -0.004, 0.015, -0.015])
+def test_a_start_of_two_cameras_tells_another_time_offset(make_flight: MakeFlight, offset_s: float, every: int) -> None:
+    """At 20 and 10 Hz it waits for the time of a search for the offset; a small offset does not delay it."""
+    flight = make_flight(0, rest_s=-5.0, duration_s=5.0, motion=LIVELY)
+    rig, gauge = rig_named("euroc-stereo"), WorldOrigin(0.05, 0.1)
+    packets = [seen_by_both(packet, flight, rig) for packet in packets_of(flight, 75)[4::every]]
+    initializer, noise, refused, first_s = initializer_at(gauge), noise_of(flight), [], np.inf
+    for packet in restamped(packets, flight, offset_s):
+        result = initializer.add(packet, 0.0, Calibration(rig), gauge, noise)
+        if isinstance(result, KeyframeSmoother):
+            first_s = (packet.t_ns - packets[0].t_ns) * 1e-9 + offset_s
+            break
+        refused += [result] if result.cause else []
+    if abs(offset_s) < 0.01:
+        assert first_s == pytest.approx(CONFIG.dynamic.stereo_window_s)
+        return
+    assert first_s == pytest.approx(CONFIG.longest_window_s, abs=CONFIG.dynamic.attempt_interval_s + FRAME_S)
+    assert refused[0].cause == CLOCKS_DISAGREE and initializer.is_contradicted  # so that the search begins
+    found = re.search(r"([+-]\d+) ± \d+ ms", refused[0].reason)
+    assert found is not None and abs(float(found[1]) - 1e3 * offset_s) <= 2.0
 
 
 def test_reason_without_any_image(make_flight: MakeFlight) -> None:
