@@ -17,6 +17,7 @@ from dronevio.estimator.imu.buffer import ImuBuffer, Increments
 from dronevio.estimator.imu.noise import ImuNoiseEstimator, NoiseEstimationConfig
 from dronevio.estimator.imu.preintegration import PreintegrationConfig
 from dronevio.estimator.initialization import initializer as module
+from dronevio.estimator.initialization.dynamic import initialize_dynamic
 from dronevio.estimator.initialization.gauge import Gauge, LastPublished, WorldOrigin
 from dronevio.estimator.initialization.initializer import Initializer, InitializerConfig
 from dronevio.estimator.initialization.not_observable import CLOCKS_DISAGREE, FORCE_IS_NOT_GRAVITY, NotObservable
@@ -330,7 +331,7 @@ def test_noise_is_not_taken_for_an_accelerometer_bias(
 ) -> None:
     """Once residuals show more noise, the start is repeated with a bias that is hardly free."""
     flight, priors, biases = make_flight(2, rest_s=-5.0, duration_s=2.0, imu_noise=imu_noise), [], []
-    initialize = module.initialize_dynamic
+    initialize = initialize_dynamic
 
     def recorded(*arguments: Any) -> Any:
         start = initialize(*arguments)
