@@ -117,6 +117,7 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     "swapped-cameras": ("pose of cam1 and cam0",),
     "focal-length-20-percent": ("lens of cam0",),
     "accelerometer-in-g": ("gravity",),
+    "swapped-sensors": ("units",),
     "gyroscope-in-degrees": ("unit of the gyroscope",),
     "gyroscope-axes": ("handedness of the gyroscope",),
     "accelerometer-axes": ("axes of the accelerometer",),

@@ -55,6 +55,10 @@ def test_script_shows_what_is_noticed(wrong_inputs: Any, flown: Result, capsys: 
     assert [rows["accelerometer-in-g"][i] for i in (1, 3, 4)] == ["0", "yes", "yes"]
 
 
+def test_each_fault_has_a_row_of_the_inspection(wrong_inputs: Any, script: Callable[[str], Any]) -> None:
+    assert set(script("inspected_recordings").NAMES) == set(wrong_inputs.FAULTS) - {"none"}
+
+
 def test_errors_count_only_while_tracking(wrong_inputs: Any, flown: Result) -> None:
     """A shift of the second half by 0.4 m is wrong from there on, unless the health is another."""
     recording = open_recording(flown.folder, 1)

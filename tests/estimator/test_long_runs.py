@@ -18,6 +18,7 @@ def long_runs(script: Callable[[str], Any]) -> Any:
     return script("long_runs")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seen_s", [0.0, 4.0], ids=["never started", "lost"])
 def test_memory_does_not_grow_without_an_estimate(long_runs: Any, seen_s: float) -> None:
     case, rig = long_runs.Case(seen_s > 0.0, lambda t_s: t_s < seen_s), euroc_rig()
