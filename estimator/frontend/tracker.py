@@ -18,7 +18,7 @@ from dronevio.estimator.frontend import klt
 from dronevio.estimator.frontend.corners import CornerConfig, detect_corners
 from dronevio.estimator.frontend.patches import WALK_S, PatchAligner, PatchConfig, Patches
 from dronevio.estimator.frontend.protocol import AtExposure, image_of, is_inside
-from dronevio.estimator.frontend.ransac import epipolar_inliers, essential_inliers
+from dronevio.estimator.frontend.ransac import MIN_MATCHES, epipolar_inliers, essential_inliers
 from dronevio.estimator.types import Observations
 from dronevio.models.camera import CameraModel
 from dronevio.models.ranges import Range, Settings
@@ -31,6 +31,9 @@ Mask = npt.NDArray[np.bool_]
 
 OUTSIDE_PX = 1e4  # a finite coordinate outside any image, for predictions behind the camera
 RETRY_LEVELS = 2  # additional pyramid levels for features that the prediction did not lead to
+MIN_SHARE = 0.1
+"""Smallest share of the features that is still observed, if they are too few for a significant consensus. Fewer of them
+agree by chance, as after a gap of the images: some patches are similar, and any two fit some translation."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +151,9 @@ class FeatureTracker:
         if previous is not None and len(self._features.ids):
             previous = klt.match_brightness(previous, self._image)
             tracked = self._tracked(previous, self._image, R_cur_prev)
-            self._features = self._inliers(tracked, R_cur_prev, rotation_sigma_rad)
+            inliers = self._inliers(tracked, R_cur_prev, rotation_sigma_rad)
+            is_chance = len(inliers.ids) < min(MIN_MATCHES, MIN_SHARE * len(self._features.ids))
+            self._features = inliers[:0] if is_chance else inliers
         return self._observations()
 
     def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:

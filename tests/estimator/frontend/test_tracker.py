@@ -116,6 +116,14 @@ def test_tracking_recovers_from_a_wrong_prediction(wall: WallSequence, predicted
     assert np.median(error_px) < 0.15 and np.mean(error_px < 0.5) > 0.9
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_images_of_another_place_share_no_features(wall: WallSequence, seed: int) -> None:
+    """As after a gap: some patches are similar by chance, and any two of them agree with some translation."""
+    elsewhere = np.append(np.random.default_rng(seed).uniform(3.0, 6.0, 2), 0.0)
+    before, after, _ = track_once(wall, np.eye(3), elsewhere)
+    assert len(before) > 15 and len(after) == 0
+
+
 def test_warps_follow_time_and_not_frames(wall: WallSequence) -> None:
     """The same two images, a millisecond or a second apart, admit smaller and larger changes of scale."""
     first, second = wall.frame(np.eye(3)), wall.frame(np.eye(3), np.array([0.0, 0.0, 0.25]))
