@@ -154,8 +154,8 @@ class Run:
         self._vio = VisualInertialOdometry(rig, front_end=Landmarks(rig, case))
         self._frames = frames(minutes, case)
         self._process = psutil.Process()
-        self.poses = 0
-        self.cost_ms: list[float] = []
+        self.poses = self.count = 0
+        self.cost_ms = np.full(round(minutes * 60e9) // FRAME_NS, np.nan)  # at once, so that it does not grow
         """Processor time of each frame with the IMU samples before it [ms]."""
         self.memory_mb: list[float] = []
         """Memory of the process after every `MEMORY_FRAMES` frames [MB]."""
@@ -166,8 +166,9 @@ class Run:
             start_s = time.process_time()
             self._vio.add_imu(samples)
             self.poses += self._vio.add_frame(frame).state is not None
-            self.cost_ms.append((time.process_time() - start_s) * 1e3)
-            if len(self.cost_ms) % MEMORY_FRAMES == 0:
+            self.cost_ms[self.count] = (time.process_time() - start_s) * 1e3
+            self.count += 1
+            if self.count % MEMORY_FRAMES == 0:
                 self.memory_mb.append(self._process.memory_info().rss * 1e-6)
 
 
@@ -200,8 +201,8 @@ def growth_of(case: Case, minutes: float) -> Growth:
     for _ in range(compared):  # alternately, so that other load on the machine slows both down
         young.advance(1)
         old.advance(1)
-    early_ms, late_ms = (float(np.median(run.cost_ms[-compared:])) for run in (young, old))
-    return Growth(slope, early_ms, late_ms, max(old.cost_ms[quarter:]), old.poses)
+    early_ms, late_ms = (float(np.median(run.cost_ms[run.count - compared : run.count])) for run in (young, old))
+    return Growth(slope, early_ms, late_ms, float(old.cost_ms[quarter:].max()), old.poses)
 
 
 @dataclass(frozen=True)
