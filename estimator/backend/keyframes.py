@@ -20,7 +20,7 @@ class KeyframeConfig(Settings):
     interval_s: Annotated[float, Range(0.01, 5.0)] = 0.2
     """Time between keyframes in motion, to the nearest frame [s]."""
     stationary_interval_s: Annotated[float, Range(0.01, 5.0)] = 0.5
-    """Time between keyframes while the drone is stationary, to the nearest frame [s]."""
+    """Shortest time between keyframes while the drone is stationary [s]."""
     min_tracked: Annotated[float, Range(0.0, 1.0)] = 0.6
     """Smallest share of the last keyframe's features that is still tracked. With fewer, the frame becomes a keyframe
     before `interval_s`."""
@@ -74,15 +74,16 @@ class KeyframePolicy:
         return is_late or tracked < c.min_tracked or is_implausible
 
     def is_interval_over(self, elapsed_s: float, frame_s: float, *, stationary: bool) -> bool:
-        """Return whether no later frame is nearer to the end of the time between keyframes.
+        """Return whether the time between keyframes has elapsed; in motion, to the nearest frame.
 
         Args:
             elapsed_s: Time since the last keyframe [s].
             frame_s: Time since the last frame, and probably until the next one [s].
             stationary: Whether the drone has been stationary since then.
         """
-        interval_s = self._config.stationary_interval_s if stationary else self._config.interval_s
-        return elapsed_s + 0.5 * frame_s >= interval_s - TIME_TOLERANCE_S
+        if stationary:
+            return elapsed_s >= self._config.stationary_interval_s - TIME_TOLERANCE_S
+        return elapsed_s + 0.5 * frame_s >= self._config.interval_s - TIME_TOLERANCE_S
 
     @staticmethod
     def is_stationary(elapsed_s: float, stationary_s: float) -> bool:

@@ -187,6 +187,8 @@ class OnlineCalibration:
         keyframe = WindowKeyframe(
             state, angular_velocity_rad_s, applied.time_offset_s, gravity_m_s2, preintegrated, ids, camera, xy
         )
+        if not stationary and not self._collector.is_connected(keyframe):
+            self.restart()
         window = self._collector.add(keyframe, stationary)
         if self._is_comparing and self._compare_cameras(keyframe):
             self._waiting = window or self._waiting

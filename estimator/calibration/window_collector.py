@@ -57,6 +57,10 @@ class WindowCollector:
         """Return the keyframes of the window under way that are later than a time [ns]."""
         return [keyframe for keyframe in self._keyframes if keyframe.state.t_ns > t_ns]
 
+    def is_connected(self, keyframe: WindowKeyframe) -> bool:
+        """Return whether the next keyframe has enough landmarks in common with the last one of the window, if any."""
+        return not self._keyframes or len(np.intersect1d(self._keyframes[-1].ids, keyframe.ids)) >= MIN_COMMON
+
     def add(self, keyframe: WindowKeyframe, stationary: bool) -> CalibrationWindow | None:
         """Add a keyframe and return a window, or the beginning of one, that is due.
 
@@ -66,8 +70,6 @@ class WindowCollector:
         """
         c = self._config
         if stationary and self._is_stationary:
-            self._keyframes = []
-        if self._keyframes and not stationary and not _is_connected(self._keyframes[-1], keyframe):
             self._keyframes = []
         if not self._keyframes:
             self._is_stationary = self._begins_stationary = stationary
@@ -82,8 +84,3 @@ class WindowCollector:
             self._next_s *= PART_GROWTH
             return CalibrationWindow(tuple(self._keyframes), self._begins_stationary, is_complete=False)
         return None
-
-
-def _is_connected(before: WindowKeyframe, after: WindowKeyframe) -> bool:
-    """Return whether two keyframes have enough landmarks in common."""
-    return len(np.intersect1d(before.ids, after.ids)) >= MIN_COMMON

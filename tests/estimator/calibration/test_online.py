@@ -277,6 +277,19 @@ def test_a_wrong_time_offset_is_corrected_in_6_5_s(make_flight: MakeFlight) -> N
     assert str(calibration.applied).startswith("time offset +")
 
 
+def test_few_common_landmarks_discard_the_window_under_way(make_flight: MakeFlight) -> None:
+    """Where features are all new after 5.4 s, no window or adjustment goes on from before; the next one corrects."""
+    flight = make_flight(1, rest_s=-5.0, duration_s=13.0)
+    calibration, corrected_s = OnlineCalibration(flight.rig), []
+    for k in keyframes(flight, Errors(time_offset_s=0.006)):
+        t_s, seen = (k.state.t_ns - flight.frame_times_ns[0]) * 1e-9, k.observations
+        seen = replace(seen, ids=seen.ids + (10_000 if t_s > 5.3 else 0))
+        if calibration.add(k.state, k.rate_rad_s, k.preintegrated, seen):
+            corrected_s.append(t_s)
+    assert corrected_s and corrected_s[0] > 10.0
+    assert calibration.applied.time_offset_s == pytest.approx(0.006, abs=1e-3)
+
+
 def test_parts_that_are_off_are_not_estimated(noiseless: "SyntheticFlight") -> None:
     found = calibrated(noiseless, ALL_OFF, Errors(time_offset_s=0.005, rotation_rad=ROTATION_RAD))
     assert str(found.applied) == str(found.estimate) == "none"
