@@ -151,9 +151,9 @@ class FeatureTracker:
         if previous is not None and len(self._features.ids):
             previous = klt.match_brightness(previous, self._image)
             tracked = self._tracked(previous, self._image, R_cur_prev)
-            inliers = self._inliers(tracked, R_cur_prev, rotation_sigma_rad)
-            is_chance = len(inliers.ids) < min(MIN_MATCHES, MIN_SHARE * len(self._features.ids))
-            self._features = inliers[:0] if is_chance else inliers
+            agreeing = self._inliers(tracked, R_cur_prev, rotation_sigma_rad)
+            is_chance = len(agreeing.ids) < min(MIN_MATCHES, MIN_SHARE * len(self._features.ids))
+            self._features = agreeing[:0] if is_chance else agreeing
         return self._observations()
 
     def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:

@@ -49,7 +49,7 @@ NO_SOLUTION = "images and IMU do not determine the motion: motion sideways past 
 NOISE_ROUNDS = 4
 """Largest number of initial adjustments in motion, each with the noise of the IMU that the one before has shown."""
 NOISY_ACCEL_BIAS_SIGMA_M_S2 = 0.03
-"""Standard deviation of the accelerometer bias in the starts of those after the first [m/s²]."""
+"""Standard deviation of the accelerometer bias in a start that is repeated with more noise [m/s²]."""
 TIME_TOLERANCE_NS = 1_000_000
 """Tolerance of time spans, because time stamps jitter [ns]."""
 
