@@ -7,12 +7,17 @@ renamed, so that each is complete or absent.
 import hashlib
 import os
 import tempfile
+import threading
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+_READING = threading.Lock()
+"""Held while a file is read. numpy parses the headers of arrays as Python expressions, and CPython 3.11 counts the depth
+of such a parse for all threads together: two at a time may end in `SystemError` (AST constructor recursion depth)."""
 
 
 def digest(*parts: object) -> str:
@@ -36,7 +41,7 @@ class ArrayStore:
         if self.folder is None:
             return None
         try:
-            with (self.folder / name).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            with _READING, (self.folder / name).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 return dict(file) if str(file["key"]) == key else None
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             return None
