@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 _READING = threading.Lock()
-"""Held while a file is read. numpy parses the headers of arrays as Python expressions, and CPython 3.11 counts the depth
-of such a parse for all threads together: two at a time may end in `SystemError` (AST constructor recursion depth)."""
+"""Held while a file is read. numpy parses the headers of arrays as Python expressions, and CPython 3.11 counts the
+depth of such a parse for all threads together: two at a time may end in `SystemError` (AST constructor recursion)."""
 
 
 def digest(*parts: object) -> str:
