@@ -33,8 +33,10 @@ class KeyframeEstimate:
     """(6, 6) Covariance of that pose, where yaw and position of the first pose are known."""
     next_t_ns: int
     """Time of the next keyframe of the window [ns]."""
+    T_imu_next: Array
+    """(4, 4) Pose of the next keyframe in the frame of this one, by the same window."""
     relative_covariance: Array
-    """(6, 6) Covariance of the next keyframe's pose in the frame of this one."""
+    """(6, 6) Covariance of that pose."""
     landmark_ids: Integers
     """(L,) Identities of the triangulated landmarks that the keyframe observes, in increasing order."""
     landmarks_odom: Array
@@ -54,7 +56,7 @@ class KeyframeEstimate:
         S, zero = np.eye(6), np.zeros((6, 6))
         S[3:, 3:] = state.T_world_imu[:3, :3].T
         covariance = zero if state.covariance is None else S @ state.covariance[:6, :6] @ S.T
-        return cls(state.t_ns, state.T_world_imu, covariance, state.t_ns, zero, landmark_ids, landmarks_odom)
+        return cls(state.t_ns, state.T_world_imu, covariance, state.t_ns, np.eye(4), zero, landmark_ids, landmarks_odom)
 
 
 def keyframe_estimate(
@@ -83,6 +85,7 @@ def keyframe_estimate(
         state.pose.matrix(),
         covariance,
         times_ns[following],
+        state.pose.between(next_state.pose).matrix(),
         np.asarray(J @ P @ J.T),
         ids,
         landmarks.points[landmarks.rows(ids)],

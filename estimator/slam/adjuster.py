@@ -8,16 +8,24 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
 from multiprocessing import connection, get_context, parent_process
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig, AdjustmentInputs, adjust
+from dronevio.estimator.slam.agreement import differences
+from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig, AdjustmentInputs, Scale, adjust
 
 Array = npt.NDArray[np.float64]
+
+
+MAX_NOISE_RATIO = 4.0
+"""Ratio of the accelerometer's noise to its data sheet up to which the IMU may determine the scale. On EuRoC's flights
+it is 8 to 17, and such errors are not white."""
 
 
 class Adjuster(Protocol):
@@ -30,8 +38,8 @@ class Adjuster(Protocol):
     def start(self, inputs: AdjustmentInputs, /) -> None:
         """Begin an adjustment."""
 
-    def result(self) -> dict[int, Array] | None:
-        """Return the adjusted poses (4, 4) by the numbers of the keyframes, once; None without a solution."""
+    def result(self) -> AdjustmentOutcome | None:
+        """Return the outcome, once; None if no adjustment has been started."""
 
 
 class LocalAdjuster:
@@ -55,8 +63,8 @@ class LocalAdjuster:
         """Keep the measurements."""
         self._inputs = inputs
 
-    def result(self) -> dict[int, Array] | None:
-        """Return the adjusted poses; see `Adjuster`."""
+    def result(self) -> AdjustmentOutcome | None:
+        """Return the outcome; see `Adjuster`."""
         inputs, self._inputs = self._inputs, None
         return None if inputs is None else solved(inputs, self._config)
 
@@ -72,7 +80,7 @@ class ProcessAdjuster:
         """
         self._config = config
         self._pool = ProcessPoolExecutor(1, get_context("spawn"), initializer=_end_with_parent)
-        self._future: Future[tuple[dict[int, Array] | None, float]] | None = None
+        self._future: Future[tuple[AdjustmentOutcome, float]] | None = None
         self._cpu_s = 0.0
 
     @property
@@ -84,26 +92,60 @@ class ProcessAdjuster:
         """Begin an adjustment in the other process."""
         self._future = self._pool.submit(_timed, inputs, self._config)
 
-    def result(self) -> dict[int, Array] | None:
-        """Return the adjusted poses, and wait for them if they are not ready; see `Adjuster`."""
+    def result(self) -> AdjustmentOutcome | None:
+        """Return the outcome, and wait for it if it is not ready; see `Adjuster`."""
         future, self._future = self._future, None
         if future is None:
             return None
-        poses, cpu_s = future.result()
+        adjustment, cpu_s = future.result()
         self._cpu_s += cpu_s
-        return poses
+        return adjustment
 
 
-def solved(inputs: AdjustmentInputs, config: AdjustmentConfig) -> dict[int, Array] | None:
-    """Return the adjusted poses of a map, see `adjust`; None if the system is singular."""
-    try:
-        return adjust(inputs, config)
-    except RuntimeError:  # by GTSAM
-        return None
+@dataclass(frozen=True, eq=False)
+class AdjustmentOutcome:
+    """The outcome of a bundle adjustment of a map."""
+
+    poses: Mapping[int, Array] | None
+    """Adjusted poses (4, 4) by the numbers of the keyframes; None if the adjusted map is not used."""
+    text: str
+    """What has determined the scale, or why the adjusted map is not used."""
 
 
-def _timed(inputs: AdjustmentInputs, config: AdjustmentConfig) -> tuple[dict[int, Array] | None, float]:
-    """Return the adjusted poses and the processor time [s]."""
+def solved(inputs: AdjustmentInputs, config: AdjustmentConfig) -> AdjustmentOutcome:
+    """Return the adjusted map that agrees with the odometry, with the scale by the IMU if possible.
+
+    With one camera, the IMU determines the scale of the map where its noise is that of its data sheet and the result
+    agrees with the odometry; otherwise the odometry does. See `bundle_adjustment` and `agreement`.
+
+    Args:
+        inputs: The measurements.
+        config: Settings.
+    """
+    is_mono = len(inputs.calibration.Ts_imu_cam) == 1
+    scales = (Scale.ODOMETRY,) if is_mono and is_noisy(inputs) else (Scale.IMU, Scale.ODOMETRY)
+    reasons = []
+    for scale in scales:
+        try:
+            adjusted = adjust(inputs, config, scale)
+        except RuntimeError:  # by GTSAM
+            reasons.append("the linear system is singular")
+            continue
+        contradicting = [str(each) for each in differences(inputs, adjusted) if not each.agrees]
+        if not contradicting:
+            return AdjustmentOutcome(adjusted.poses, f"scale by the {scale}")
+        reasons += contradicting
+    return AdjustmentOutcome(None, f"not used: {reasons[-1]}")
+
+
+def is_noisy(inputs: AdjustmentInputs) -> bool:
+    """Return whether the accelerometer is far noisier in this flight than its data sheet says."""
+    sheet = inputs.imu_model.accel_noise_density
+    return inputs.params.accel_variance > (MAX_NOISE_RATIO * sheet) ** 2
+
+
+def _timed(inputs: AdjustmentInputs, config: AdjustmentConfig) -> tuple[AdjustmentOutcome, float]:
+    """Return the outcome and the processor time [s]."""
     start_s = time.process_time()
     return solved(inputs, config), time.process_time() - start_s
 

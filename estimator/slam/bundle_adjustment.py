@@ -1,9 +1,15 @@
 """Visual-inertial bundle adjustment of a map: all keyframes, landmarks, IMU measurements and loops together.
 
 The pose graph summarizes the odometry by relative poses. Here its measurements are used again, with all later
-knowledge: GTSAM's preintegrated IMU factors between keyframes, and reprojection factors of the landmarks with a robust
-loss (Mur-Artal and Tardós, "Visual-inertial monocular SLAM with map reuse", RA-L 2017; Qin et al., T-RO 2018). It is
-section 7.4.3 of the book as one factor graph.
+knowledge: GTSAM's preintegrated IMU factors, and reprojection factors of the landmarks with a robust loss (Mur-Artal
+and Tardós, "Visual-inertial monocular SLAM with map reuse", RA-L 2017; Qin et al., T-RO 2018). It is section 7.4.3 of
+the book as one factor graph.
+
+With one camera, the scale follows from a regression of the accelerations by the IMU on those by the images. Errors of
+the latter, such as vibration between camera and IMU, attenuate it: the map becomes too small (regression dilution;
+Fuller, "Measurement Error Models", 1987, section 1.1). `Scale.ODOMETRY` is for IMUs that do not keep their data sheet:
+an IMU factor spans a second, over which such errors matter little, and the relative poses of the odometry hold the
+scale that its windows have found.
 
 A loop enters it by the landmarks of the earlier visit that the later keyframe sees. Its relative pose would not do with
 one camera: its position is as wrong as the scale of the landmarks then, and since the residual is in metres, a smaller
@@ -14,8 +20,10 @@ error of a hundredth of a pixel in common, by which a map of landmarks with disp
 percent too small. A rotation of the second camera explains it, and the scale then follows from near landmarks.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
+from itertools import pairwise
 from typing import Annotated
 
 import gtsam
@@ -24,6 +32,7 @@ import numpy as np
 import numpy.typing as npt
 from gtsam.symbol_shorthand import B, E, L, V, X
 
+from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.backend.observations import ObservationTable
 from dronevio.estimator.backend.triangulation import triangulate
 from dronevio.estimator.imu.buffer import ImuBuffer
@@ -36,9 +45,22 @@ from dronevio.models.ranges import Range, Settings
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
+LONG_INTERVAL_S = 1.0
+"""Least interval of an IMU factor where the odometry determines the scale [s]; shorter at the end of a track."""
+ODOMETRY_VARIANCE = 10.0
+"""Factor on the covariances of the relative poses by the odometry, which has used the IMU measurements, too."""
 RIG_TRANSLATION_SIGMA_M = 1e-5
 """Prior standard deviation of the position of a camera on the rig [m], so small that it is not estimated: the baseline
 determines the scale."""
+
+
+class Scale(StrEnum):
+    """What determines the scale of a map with one camera."""
+
+    IMU = "IMU"
+    """All IMU measurements of the flight together."""
+    ODOMETRY = "odometry"
+    """The odometry, as far as the IMU does not contradict it."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +102,12 @@ class AdjustmentKeyframe:
     """(3,) Initial gyroscope bias [rad/s]."""
     accel_bias_m_s2: Array
     """(3,) Initial accelerometer bias [m/s²]."""
+    bias_covariance: Array
+    """(6, 6) Covariance of the biases by the odometry: gyroscope, then accelerometer."""
     observations: ObservationTable
     """Its observations of landmarks by all cameras."""
+    estimate: KeyframeEstimate
+    """Its final estimate by the odometry."""
     track: int = 0
     """Number of the odometry frame. The IMU measurements between two tracks are not used."""
 
@@ -108,64 +134,119 @@ class AdjustmentInputs:
     """(6, 6) Prior covariance of its pose: δθ, then δp, both in the IMU frame."""
 
 
-def adjust(inputs: AdjustmentInputs, config: AdjustmentConfig) -> dict[int, Array]:
-    """Return the adjusted poses (4, 4) of the keyframes in the map frame, by their numbers.
+@dataclass(frozen=True, eq=False)
+class AdjustedMap:
+    """The solution of a bundle adjustment."""
+
+    poses: Mapping[int, Array]
+    """Poses (4, 4) of the keyframes in the map frame, by their numbers."""
+    gyro_bias_rad_s: Array
+    """(3,) Gyroscope bias at the newest keyframe [rad/s]."""
+    accel_bias_m_s2: Array
+    """(3,) Accelerometer bias at the newest keyframe [m/s²]."""
+    scale: Scale
+    """What has determined the scale."""
+
+
+def adjust(inputs: AdjustmentInputs, config: AdjustmentConfig, scale: Scale = Scale.IMU) -> AdjustedMap:
+    """Return the most probable poses and biases.
 
     Args:
         inputs: The measurements, two keyframes or more.
         config: Settings.
+        scale: What determines the scale.
     """
     keyframes = inputs.keyframes
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for keyframe in keyframes:
         values.insert(X(keyframe.number), pose3=gtsam.Pose3(keyframe.T_map_imu))
-        values.insert(V(keyframe.number), vector=keyframe.velocity_m_s)
-        values.insert(B(keyframe.number), constant_bias=_bias(keyframe))
-    _add_priors(graph, inputs)
-    _add_imu_factors(graph, inputs)
-    for loop in inputs.loops:
-        if len(loop.observations):  # they take its place
-            continue
-        noise = gtsam.noiseModel.Gaussian.Covariance(loop.covariance)
-        T = gtsam.Pose3(loop.T_first_second)
-        graph.add(gtsam.BetweenFactorPose3(X(loop.first), X(loop.second), T, noise))
+        if keyframe.number == inputs.first:
+            noise = gtsam.noiseModel.Gaussian.Covariance(inputs.first_covariance)
+            graph.add(gtsam.PriorFactorPose3(X(keyframe.number), gtsam.Pose3(keyframe.T_map_imu), noise))
+    intervals = list(_imu_intervals(keyframes, LONG_INTERVAL_S if scale is Scale.ODOMETRY else 0.0))
+    _add_imu(graph, values, inputs, intervals)
+    if scale is Scale.ODOMETRY:
+        _add_relative_poses(graph, _odometry(keyframes), ODOMETRY_VARIANCE)
+    _add_relative_poses(graph, [loop for loop in inputs.loops if not len(loop.observations)])
     _add_landmarks(graph, values, inputs, config)
     params = gtsam.LevenbergMarquardtParams()
     params.setMaxIterations(config.iterations)
     params.setRelativeErrorTol(config.tolerance)
     params.setOrderingType("METIS")  # COLAMD takes longer than four steps in a map of 16 000 landmarks, METIS 0.5 s
     solution = gtsam.LevenbergMarquardtOptimizer(graph, values, params).optimize()
-    return {keyframe.number: solution.atPose3(X(keyframe.number)).matrix() for keyframe in keyframes}
+    poses = {keyframe.number: solution.atPose3(X(keyframe.number)).matrix() for keyframe in keyframes}
+    bias = solution.atConstantBias(B(intervals[-1][1].number)) if intervals else _bias(keyframes[-1])
+    return AdjustedMap(poses, bias.gyroscope(), bias.accelerometer(), scale)
 
 
-def _add_priors(graph: gtsam.NonlinearFactorGraph, inputs: AdjustmentInputs) -> None:
-    """Add what is known beforehand: the gauge, and the turn-on biases of the data sheet at the start of each track."""
-    imu = inputs.imu_model
+def _add_imu(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    inputs: AdjustmentInputs,
+    intervals: Sequence[tuple[AdjustmentKeyframe, AdjustmentKeyframe]],
+) -> None:
+    """Add the preintegrated IMU measurements of intervals, and the velocities and biases between which they stand.
+
+    The biases at the start of each track have the turn-on biases of the data sheet as a prior.
+    """
+    imu, buffer = inputs.imu_model, ImuBuffer(inputs.imu_model)
     sigmas = np.repeat([imu.accel_turn_on_bias_m_s2, imu.gyro_turn_on_bias_rad_s], 3)
-    bias_noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-    pose_noise = gtsam.noiseModel.Gaussian.Covariance(inputs.first_covariance)
-    tracks: set[int] = set()
-    for keyframe in inputs.keyframes:
-        if keyframe.number == inputs.first:
-            graph.add(gtsam.PriorFactorPose3(X(keyframe.number), gtsam.Pose3(keyframe.T_map_imu), pose_noise))
-        if keyframe.track not in tracks:
-            tracks.add(keyframe.track)
-            graph.add(gtsam.PriorFactorConstantBias(B(keyframe.number), gtsam.imuBias.ConstantBias(), bias_noise))
-
-
-def _add_imu_factors(graph: gtsam.NonlinearFactorGraph, inputs: AdjustmentInputs) -> None:
-    """Add the preintegrated IMU measurements between consecutive keyframes of the same track."""
-    buffer = ImuBuffer(inputs.imu_model)
+    turn_on = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
     buffer.add(inputs.imu)
-    buffer.take_until(inputs.keyframes[0].t_ns)
-    for first, second in zip(inputs.keyframes[:-1], inputs.keyframes[1:], strict=True):
-        measurements = buffer.take_until(second.t_ns)
-        if first.track != second.track:
-            continue
+    known: set[int] = set()
+    for first, second in intervals:
         i, j = first.number, second.number
+        if i not in known:  # the start of a track
+            buffer.take_until(first.t_ns)
+            _insert_motion(values, first)
+            graph.add(gtsam.PriorFactorConstantBias(B(i), gtsam.imuBias.ConstantBias(), turn_on))
+        _insert_motion(values, second)
+        known.add(j)
         preintegration = Preintegration(inputs.params, _bias(first))
-        preintegration.integrate(measurements)
+        preintegration.integrate(buffer.take_until(second.t_ns))
         graph.add(gtsam.CombinedImuFactor(X(i), V(i), X(j), V(j), B(i), B(j), preintegration.measurements))
+
+
+def _imu_intervals(
+    keyframes: Sequence[AdjustmentKeyframe], least_s: float
+) -> Iterator[tuple[AdjustmentKeyframe, AdjustmentKeyframe]]:
+    """Yield the first and the last keyframes of consecutive intervals of a least length, each in one track."""
+    start = keyframes[0]
+    for keyframe, following in zip(keyframes, [*keyframes[1:], None], strict=True):
+        if keyframe.track != start.track:
+            start = keyframe
+        is_last = following is None or following.track != keyframe.track
+        if keyframe is not start and (is_last or keyframe.t_ns - start.t_ns >= least_s * 1e9):
+            yield start, keyframe
+            start = keyframe
+
+
+def _odometry(keyframes: Sequence[AdjustmentKeyframe]) -> list[RelativePose]:
+    """Return the relative poses of consecutive keyframes by the windows that the earlier ones have left.
+
+    The final estimates of both belong to different windows: what the later window has learned of the inclination and of
+    the biases moves only one of them.
+    """
+    return [
+        RelativePose(first.number, second.number, first.estimate.T_imu_next, first.estimate.relative_covariance)
+        for first, second in pairwise(keyframes)
+        if first.track == second.track and first.estimate.next_t_ns == second.t_ns
+    ]
+
+
+def _insert_motion(values: gtsam.Values, keyframe: AdjustmentKeyframe) -> None:
+    """Add the initial velocity and biases of a keyframe."""
+    values.insert(V(keyframe.number), vector=keyframe.velocity_m_s)
+    values.insert(B(keyframe.number), constant_bias=_bias(keyframe))
+
+
+def _add_relative_poses(
+    graph: gtsam.NonlinearFactorGraph, relatives: Sequence[RelativePose], variance: float = 1.0
+) -> None:
+    """Add relative poses of keyframes, with a factor on their covariances."""
+    for each in relatives:
+        noise = gtsam.noiseModel.Gaussian.Covariance(variance * each.covariance)
+        graph.add(gtsam.BetweenFactorPose3(X(each.first), X(each.second), gtsam.Pose3(each.T_first_second), noise))
 
 
 def _add_landmarks(

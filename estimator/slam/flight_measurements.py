@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.backend.observations import observation_table
 from dronevio.estimator.imu.preintegration import PreintegrationParams
 from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs, AdjustmentKeyframe
@@ -49,15 +50,17 @@ class FlightMeasurements:
         """
         self._imu_model = imu_model
         self._keyframes: dict[int, KeyframeMeasurements] = {}  # by their times [ns]
+        self._estimates: dict[int, KeyframeEstimate] = {}
 
-    def add(self, t_ns: int, measured: KeyframeMeasurements) -> None:
+    def add(self, estimate: KeyframeEstimate, measured: KeyframeMeasurements) -> None:
         """Add what was measured at a keyframe.
 
         Args:
-            t_ns: Time of the keyframe by the IMU's clock [ns].
+            estimate: The final estimate of the keyframe by the odometry.
             measured: The measurements.
         """
-        self._keyframes[t_ns] = measured
+        self._keyframes[estimate.t_ns] = measured
+        self._estimates[estimate.t_ns] = estimate
 
     def covers(self, keyframes: Sequence[MapKeyframe]) -> bool:
         """Return whether all of some keyframes have measurements, unlike those of a loaded map."""
@@ -101,6 +104,8 @@ class FlightMeasurements:
             R_map_odom @ measured.state.velocity_m_s,
             measured.state.gyro_bias_rad_s,
             measured.state.accel_bias_m_s2,
+            np.zeros((6, 6)) if measured.state.covariance is None else measured.state.covariance[9:, 9:],
             observation_table(keyframe.number, measured.observations, ADJUSTED_MATCH_SIGMA_SCALE),
+            self._estimates[keyframe.t_ns],
             keyframe.track,
         )

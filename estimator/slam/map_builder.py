@@ -170,7 +170,7 @@ class MapBuilder:
                 self._finish_adjustment()
                 correction = self.mapper.add(estimate, self._view(keyframe))
                 if self._measurements is not None and measured is not None:
-                    self._measurements.add(estimate.t_ns, measured)
+                    self._measurements.add(estimate, measured)
                     self._begin_adjustment(self._measurements, correction)
                 return correction
 

@@ -134,7 +134,7 @@ class VisualSlam:
             if isinstance(message, TrackLost):
                 self._track, self._T_map_odom, self._correction = self._track + 1, None, None
             if isinstance(message, MarginalizedKeyframe) and message.measured is not None:
-                self._measurements.add(message.estimate.t_ns, message.measured)
+                self._measurements.add(message.estimate, message.measured)
             self._map.send(message)
             self._sent += 1
             self._schedule.add(frame.t_ns, self._sent, self._loops)
