@@ -27,8 +27,6 @@ Integers = npt.NDArray[np.int64]
 
 MAX_ERROR_PX = 2.0
 """Largest reprojection error of an observation [px]: five standard deviations of an aligned patch."""
-MAX_ROUNDS = 5
-"""Largest number of rounds in which landmarks are triangulated and observations are left out."""
 NO_COLOUR = 128
 """Gray value of the points until images are read."""
 
@@ -57,15 +55,25 @@ def map_structure(inputs: AdjustmentInputs, config: AdjustmentConfig, stamps_ns:
         observation_px=np.zeros((0, 2)),
     )
     numbers = np.array([keyframe.number for keyframe in inputs.keyframes], dtype=np.int64)
-    structure, table = images, map_observations(inputs, config)
-    for _ in range(MAX_ROUNDS):
+    table = map_observations(inputs, config)
+    while True:
         table, landmarks = triangulated(table, inputs, config)
         structure = _with_landmarks(images, numbers, table, landmarks)
-        is_near = structure.reprojection_errors_px() <= MAX_ERROR_PX  # NaN is not
-        if is_near.all():
-            break
-        table = table[is_near]
-    return RecordedReconstruction(structure, np.repeat(stamps_ns, len(cameras)))
+        is_wrong = _is_wrong(structure)
+        if not is_wrong.any():
+            return RecordedReconstruction(structure, np.repeat(stamps_ns, len(cameras)))
+        table = table[~is_wrong]
+
+
+def _is_wrong(structure: Reconstruction) -> npt.NDArray[np.bool_]:
+    """Return which observations (M,) to leave out in this round.
+
+    A wrong one moves its point, so that right ones seem wrong, too, but less so.
+    """
+    errors = np.nan_to_num(structure.reprojection_errors_px(), nan=np.inf)
+    largest = np.zeros(len(structure.points))
+    np.maximum.at(largest, structure.observation_point, errors)
+    return np.asarray((errors > MAX_ERROR_PX) & (errors >= 0.5 * largest[structure.observation_point]))
 
 
 def _with_landmarks(
