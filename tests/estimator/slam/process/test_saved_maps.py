@@ -180,6 +180,8 @@ def test_options_that_contradict_each_other(monkeypatch: pytest.MonkeyPatch, tmp
     slam, _ = fly(monkeypatch, [], lap_map())
     with pytest.raises(ConfigError, match="not joined"):
         slam.save_map(tmp_path / "room.map")
+    with pytest.raises(ConfigError, match="map without keyframes of this flight"):
+        slam.save_ply(tmp_path / "points.ply")
 
 
 def shifted(rig: Rig, **camera: object) -> Rig:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,7 @@ from dronevio.estimator.slam.map_builder import MarginalizedKeyframe
 from dronevio.estimator.slam.schedule import DelayConfig
 from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.estimator.types import Calibration
+from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import pose_matrix, rotation_z
@@ -163,6 +165,30 @@ def test_final_path_has_the_keyframes_at_their_final_poses(monkeypatch: pytest.M
     found = final.correction.applied(trajectory)
     at_keyframes = np.isin(found.t_ns, final.t_ns)
     np.testing.assert_allclose(found.p_world_imu[at_keyframes], final.Ts_map_imu[:, :3, 3], atol=1e-9)
+
+
+def test_a_map_without_loops_is_exported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    rig = one_camera()
+    messages = [keyframe(rig, place, 0) for place in range(PLACES)]
+    slam, _ = run(monkeypatch, messages, np.eye(4))
+    found = slam.reconstruction()
+    assert found.stamps_ns.tolist() == [message.estimate.t_ns for message in messages[:-DELAY]]
+    for T_map_cam, message in zip(found.reconstruction.Ts_world_cam, messages[:-DELAY], strict=True):
+        np.testing.assert_allclose(T_map_cam, message.estimate.T_odom_imu @ rig.cameras[0].T_imu_cam, atol=1e-9)
+    slam.save_graph(tmp_path / "graph.g2o")
+    assert (tmp_path / "graph.g2o").read_text().count("EDGE") == PLACES - DELAY - 1
+
+
+def test_a_map_without_keyframes_is_not_exported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    slam, _ = run(monkeypatch, [keyframe(one_camera(), 0, 0)], np.eye(4))
+    for save in (
+        lambda: slam.save_graph(tmp_path / "graph.g2o"),
+        lambda: slam.save_ply(tmp_path / "points.ply"),
+        lambda: slam.reconstruction(),
+    ):
+        with pytest.raises(ConfigError, match=r"map without keyframes.*; expected one or more"):
+            save()
+    assert not list(tmp_path.iterdir())
 
 
 def test_keyframes_that_leave_together_have_measurements() -> None:
