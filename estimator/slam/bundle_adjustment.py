@@ -213,7 +213,7 @@ def _add_rig(
 
 
 def map_observations(inputs: AdjustmentInputs, config: AdjustmentConfig) -> ObservationTable:
-    """Return all observations by tracks, stereo matches and loops, sorted by landmark; standard deviations in pixels."""
+    """Return the observations by tracks, stereo matches and loops, sorted by landmark, with deviations in pixels."""
     tracks = ObservationTable.concatenated([keyframe.observations for keyframe in inputs.keyframes])
     tracks = replace(tracks, sigma_scale=config.pixel_sigma * tracks.sigma_scale)
     table = ObservationTable.concatenated([tracks, *(loop.observations for loop in inputs.loops)]).by_landmark()

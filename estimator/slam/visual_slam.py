@@ -39,7 +39,7 @@ from dronevio.estimator.slam.map_builder import (
 from dronevio.estimator.slam.map_file import read_map, write_map
 from dronevio.estimator.slam.map_process import MapProcess
 from dronevio.estimator.slam.mapping import Mapper
-from dronevio.estimator.slam.pose_graph import OptimizedGraph
+from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph
 from dronevio.estimator.slam.saved_arrays import MIN_KEYFRAMES
 from dronevio.estimator.slam.saved_map import SavedMap, saved_map
 from dronevio.estimator.slam.schedule import CorrectionSchedule
@@ -231,17 +231,14 @@ class VisualSlam:
         graph = solution.without_rejected
         write_map(Path(path), saved_map(self._rig.cameras, graph, mapper.keyframes, mapper.patches))
 
-    def save_graph(self, path: Path | str) -> None:
-        """Write the pose graph of the final map as a g2o file, without rejected loops; see `final_graph`.
+    def final_graph(self) -> PoseGraph:
+        """Return the pose graph of the final map for other programs, without rejected loops; see `final_graph`.
 
-        The poses are the optimum of the relative poses in the file.
-
-        Args:
-            path: File to write; an earlier one is replaced when the new one is complete.
+        Its poses are the optimum of its relative poses. Where all keyframes are of this flight, these are measured in
+        the final map; those of a loaded map stay as they are.
 
         Raises:
             ConfigError: No keyframe has joined the map.
-            InputError: The file cannot be written.
         """
         mapper, solution = self._final_solution()
         if solution is None:
@@ -250,7 +247,19 @@ class VisualSlam:
         if self._measurements.covers(mapper.keyframes):
             inputs, pose = self._measurements.inputs(mapper.keyframes, graph), c.mapping.localization.pose
             graph = measured_in_map(graph, inputs, c.adjustment, pose, mapper.adjusted_until)
-        write_g2o(Path(path), at_optimum(graph))
+        return at_optimum(graph)
+
+    def save_graph(self, path: Path | str) -> None:
+        """Write `final_graph` as a g2o file.
+
+        Args:
+            path: File to write; an earlier one is replaced when the new one is complete.
+
+        Raises:
+            ConfigError: No keyframe has joined the map.
+            InputError: The file cannot be written.
+        """
+        write_g2o(Path(path), self.final_graph())
 
     def reconstruction(self) -> RecordedReconstruction:
         """Return the keyframes of the flight at their final poses, with the landmarks that they observe.

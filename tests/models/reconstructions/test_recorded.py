@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -96,7 +97,8 @@ def test_files_are_copied_with_their_names(noise_recording: Make, tmp_path: Path
     write_euroc_recording(tmp_path / "recording", recording)
     read = EurocRecording.open(tmp_path / "recording")
     files = [[file.with_name(f"{i:04}.png") for i, file in enumerate(each) if file] for each in read.image_files]
-    for before, after in zip(sum(map(list, read.image_files), []), sum(files, []), strict=True):
+    for before, after in zip(chain(*read.image_files), chain(*files), strict=True):
+        assert before is not None
         before.rename(after)
     named = replace(read, image_files=tuple(map(tuple, files)))
     write_colmap_folder(tmp_path / "colmap", recorded(recording), named)

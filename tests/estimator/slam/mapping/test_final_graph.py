@@ -61,7 +61,8 @@ def test_written_poses_are_the_optimum_of_the_file(
     assert factors.error(values) == pytest.approx(factors.error(found), rel=0.01)
     assert factors.error(values) < 3.0 * len(graph.loops)  # half of the six that a loop is expected to have
     # GTSAM reads the covariances that the graph has.
-    assert factors.error(values) == pytest.approx(factor_graph(relative_poses_of(final)).error(_values(final)), rel=1e-6)
+    expected = factor_graph(relative_poses_of(final)).error(_values(final))
+    assert factors.error(values) == pytest.approx(expected, rel=1e-6)
     for number, T in final.poses.items():
         np.testing.assert_allclose(values.atPose3(number).matrix(), T, atol=1e-9)
         assert np.linalg.norm(T[:3, 3] - graph.poses[number][:3, 3]) < 0.01
@@ -125,9 +126,7 @@ def looped() -> tuple[PoseGraph, AdjustmentInputs, Array]:
     graph = PoseGraph(0, 1e-6 * np.eye(6), poses, tuple(odometry), loops=(loop,))
     nothing = ImuSamples.empty()
     params = PreintegrationParams.of(RIG.imu, PreintegrationConfig())
-    inputs = AdjustmentInputs(
-        keyframes, (loop,), nothing, RIG.imu, params, Calibration(RIG), 0, graph.first_covariance
-    )
+    inputs = AdjustmentInputs(keyframes, (loop,), nothing, RIG.imu, params, Calibration(RIG), 0, graph.first_covariance)
     return graph, inputs, true
 
 
@@ -161,4 +160,3 @@ def test_directions_of_gravity_do_not_count(graph_solution: OptimizedGraph) -> N
     expected, found = at_optimum(graph).poses, at_optimum(replace(graph, gravity=(*graph.gravity, wrong))).poses
     for number, T in expected.items():
         np.testing.assert_array_equal(found[number], T)
-
