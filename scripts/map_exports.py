@@ -63,16 +63,17 @@ class Consistency:
 
 def consistency(relative: Sequence[RelativePose], Ts_true: dict[int, Array]) -> Consistency | None:
     """Return how relative poses agree with the true poses (4, 4) of the keyframes; None without relative poses."""
-    rows = []
+    rows: list[list[float]] = []
     for each in relative:
         true = inverse_pose(Ts_true[each.first]) @ Ts_true[each.second]
         r, P = gtsam.Pose3.Logmap(gtsam.Pose3(inverse_pose(each.T_first_second) @ true)), each.covariance
         parts = slice(6), slice(3), slice(3, 6)
-        rows.append([*(float(r[part] @ np.linalg.solve(P[part, part], r[part])) for part in parts), r[3:] @ r[3:]])
+        nees = (float(r[part] @ np.linalg.solve(P[part, part], r[part])) for part in parts)
+        rows.append([*nees, float(r[3:] @ r[3:])])
     if not rows:
         return None
-    nees, rotation, position, square = np.mean(rows, axis=0).tolist()
-    return Consistency(len(rows), nees, rotation, position, 1e3 * float(np.sqrt(square)))
+    whole, rotation, position, square = np.mean(rows, axis=0).tolist()
+    return Consistency(len(rows), whole, rotation, position, 1e3 * float(np.sqrt(square)))
 
 
 def optimized_by_gtsam(path: Path) -> tuple[int, float, float]:
@@ -167,8 +168,8 @@ def cells(recording: Recording, cameras: int, folder: Path) -> Sequence[str]:
         f"{written / edges:.2f}",
         f"{errors_mm[0]:.2f}, {errors_mm[1]:.2f}",
         str(len(graph.loops)),
-        text(measured and measured.nees, ".1f"),
-        text(loops and loops.nees, ".1f"),
+        text(None if measured is None else measured.nees, ".1f"),
+        text(None if loops is None else loops.nees, ".1f"),
         "–" if loops is None else f"{loops.rotation_nees:.1f}, {loops.position_nees:.1f}",
         "–" if loops is None or measured is None else f"{measured.position_mm:.1f}, {loops.position_mm:.1f}",
         f"{odometry.nees:.1f}",

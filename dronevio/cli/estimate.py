@@ -209,7 +209,7 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     command = parse(EstimateCommand, arguments, "estimate")
 
-    from dronevio.models.errors import EvaluationError
+    from dronevio.models.errors import ConfigError, EvaluationError
     from dronevio.models.reconstructions.formats import check_cameras
 
     check_map_options(command)
@@ -231,7 +231,12 @@ def main(arguments: Sequence[str]) -> int:
             summaries.append({"recording": str(command.recording), "poses": 0, "reason": str(error)})
             continue
         summaries.append(summary_of(of_segment, found))
-        write_results(of_segment, found)
+        try:
+            write_results(of_segment, found)
+        except ConfigError as error:  # such as a map of too few keyframes
+            if len(segments) == 1:
+                raise
+            print_warning(f"{segment.name}: {error}")
         if not command.printing.json:
             print_estimation(of_segment, found, summaries[-1])
     if command.printing.json:
@@ -241,9 +246,10 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def write_results(command: EstimateCommand, found: Estimation) -> None:
-    """Write the files of the estimation of a segment.
+    """Write the files of the estimation of a segment, the trajectories first.
 
     Raises:
+        ConfigError: The map is too small for a file, or has no keyframe of this flight.
         InputError: A file cannot be written.
     """
     from dronevio.cli.output_files import atomic_folder
