@@ -100,10 +100,11 @@ def errors_by_colmap(folder: Path) -> Array:
     )
 
 
-def true_poses(slam: VisualSlam, truth: Trajectory) -> dict[int, Array]:
-    """Return the true poses (4, 4) of the keyframes by their numbers."""
-    keyframes = slam.mapper.keyframes
-    true, rows = interpolate(truth, np.array([keyframe.t_ns for keyframe in keyframes]))
+def true_poses(slam: VisualSlam, recording: Recording, truth: Trajectory) -> dict[int, Array]:
+    """Return the true poses (4, 4) of the keyframes by their numbers, at the stamps of their images."""
+    keyframes, cameras = slam.mapper.keyframes, len(recording.rig.cameras)
+    stamps_ns = slam.reconstruction().stamps_ns[::cameras]
+    true, rows = interpolate(truth, stamps_ns + round(1e9 * recording.rig.time_offset_s))
     Ts = pose_matrix(matrix_from_quat_wxyz(true.quat_wxyz), true.p_world_imu)
     return {keyframes[row].number: T for row, T in zip(np.arange(len(keyframes))[rows].tolist(), Ts, strict=True)}
 
@@ -142,7 +143,7 @@ def cells(recording: Recording, cameras: int, folder: Path) -> Sequence[str]:
         raise ConfigError(f"{recording.name} has no ground truth; expected a recording with it")
     slam = VisualSlam(recording.rig)
     estimate(recording, slam)
-    Ts_true, graph, solution = true_poses(slam, recording.ground_truth), slam.final_graph(), slam.final_map()
+    Ts_true, graph, solution = true_poses(slam, recording, recording.ground_truth), slam.final_graph(), slam.final_map()
     before = slam.mapper.final_solution()
     assert before is not None and solution is not None  # final_graph refuses a map without keyframes
     slam.save_graph(folder / "map.g2o")

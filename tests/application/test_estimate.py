@@ -213,7 +213,7 @@ def test_wrong_options_of_maps_are_refused(
     assert not list(tmp_path.iterdir())
 
 
-def test_lenses_that_colmap_lacks_are_refused_before_the_estimation(
+def test_lenses_that_colmap_lacks_are_refused_first(
     stereo: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     recording = open_recording(stereo.folder / "recording")

@@ -81,7 +81,7 @@ def _values(graph: PoseGraph) -> gtsam.Values:
     return values
 
 
-def test_odometry_is_measured_at_the_final_poses_with_its_own_covariance(
+def test_odometry_is_measured_at_the_final_poses(
     adjustment_inputs: AdjustmentInputs, graph_solution: OptimizedGraph
 ) -> None:
     graph = graph_solution.without_rejected

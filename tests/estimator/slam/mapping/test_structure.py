@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 RIG = rig_named("euroc-stereo")
 NUMBERS = 3, 4, 8, 20
 STAMPS_NS = 100 * np.array(NUMBERS) + 7
-POINTS = np.array([5.0, 0.4, 0.0]) + np.random.default_rng(3).uniform(-1.0, 1.0, (40, 3)) * [2.0, 1.0, 0.7]
+POINTS = np.stack(np.meshgrid([3.0, 4.0, 5.5, 7.0], np.linspace(-0.6, 1.4, 5), [-0.6, 0.6]), axis=-1).reshape(-1, 3)
 FIRST_ID = 500
 
 
