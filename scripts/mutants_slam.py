@@ -253,8 +253,8 @@ SLAM = (
         "adjustment-observations-twice",
         "Bundle adjustment: an observation counts as often as there are loops with it.",
         "estimator/slam/bundle_adjustment.py",
-        "    table = table[np.sort(np.unique(of_one, axis=0, return_index=True)[1])]\n",
-        "",
+        "return table[np.sort(np.unique(of_one, axis=0, return_index=True)[1])]\n",
+        "return table\n",
         ("tests/estimator/slam/mapping/test_bundle_adjustment.py::test_an_observation_by_several_loops_counts_once",),
     ),
     Mutant(
@@ -280,6 +280,47 @@ SLAM = (
         "if len(found.closed)\n",
         "if False\n",
         ("tests/estimator/slam/process/test_visual_slam.py::test_final_path_has_the_keyframes_at_their_final_poses",),
+    ),
+    Mutant(
+        "g2o-half-rotations",
+        "Files of g2o: the information is that of the vector part of the quaternion.",
+        "estimator/slam/g2o.py",
+        "information = np.linalg.inv(relative.covariance[np.ix_(order, order)])",
+        "scale = np.repeat([1.0, 2.0], 3)\n"
+        "    information = np.linalg.inv(relative.covariance[np.ix_(order, order)]) * np.outer(scale, scale)",
+        ("tests/estimator/slam/mapping/test_final_graph.py::test_written_poses_are_the_optimum_of_the_file",),
+    ),
+    Mutant(
+        "final-graph-of-the-flight",
+        "Final graph: loops stay as they were measured during the flight.",
+        "estimator/slam/final_graph.py",
+        "if len(table) < MIN_OBSERVATIONS:",
+        "if True:",
+        ("tests/estimator/slam/mapping/test_final_graph.py::test_a_loop_is_measured_in_the_final_landmarks",),
+    ),
+    Mutant(
+        "final-graph-not-optimized",
+        "Final graph: the poses are those of bundle adjustment.",
+        "estimator/slam/final_graph.py",
+        "return optimize(relative, robust=False).graph",
+        "return relative",
+        ("tests/estimator/slam/mapping/test_final_graph.py::test_written_poses_are_the_optimum_of_the_file",),
+    ),
+    Mutant(
+        "structure-with-wrong-observations",
+        "Structure: right observations of a landmark are left out with a wrong one.",
+        "estimator/slam/structure.py",
+        "(errors >= 0.5 * largest[structure.observation_point])",
+        "(errors >= 0.0)",
+        ("tests/estimator/slam/mapping/test_structure.py::test_observations_far_off_are_left_out",),
+    ),
+    Mutant(
+        "exported-images-of-other-times",
+        "Visual SLAM: the images of a keyframe are those of the time by the clock of the IMU.",
+        "estimator/slam/flight_measurements.py",
+        "[self._keyframes[keyframe.t_ns].stamp_ns for keyframe in keyframes]",
+        "[keyframe.t_ns for keyframe in keyframes]",
+        ("tests/estimator/slam/process/test_visual_slam.py::test_images_of_keyframes_are_found_by_their_stamps",),
     ),
 )
 """Faults of the recognition of places and of the map."""

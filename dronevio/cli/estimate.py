@@ -56,6 +56,10 @@ class EstimateCommand:
     With --save-map, the final map is saved in a file. A later flight continues it with --map: until a place of the map
     is recognized, it has no pose in the map frame. With --localize-only, the saved map stays as it is.
 
+    For other programs, the keyframes of the final map and their landmarks are written as a folder with images and a
+    model of COLMAP (--save-colmap), the landmarks as a point cloud (--save-ply), and the pose graph for GTSAM or Ceres
+    (--save-g2o).
+
     Examples:
       dronevio estimate recordings/room-0
       dronevio estimate V1_01_easy --out v101.tum
@@ -68,6 +72,7 @@ class EstimateCommand:
       dronevio estimate V1_01_easy --slam --out v101.tum
       dronevio estimate V1_01_easy --slam --save-map v1.map
       dronevio estimate V1_01_easy --slam --save-g2o v1.g2o
+      dronevio estimate V1_01_easy --slam --save-colmap v1-colmap --save-ply v1.ply
       dronevio estimate V1_02_medium --slam --map v1.map --save-map v1.map
       dronevio estimate V1_03_difficult --slam --map v1.map --localize-only
       dronevio evaluate V1_01_easy v101_map.tum
@@ -90,6 +95,11 @@ class EstimateCommand:
     """Keep the map of --map as it is: its keyframes do not move, and it is not saved again."""
     save_g2o: Path | None = None
     """File in the format of g2o in which the final pose graph is written for other programs, with --slam."""
+    save_colmap: Path | None = None
+    """Folder to make, with --slam: the images of the keyframes in images, and a model of COLMAP with their poses and
+    the landmarks of the map in sparse/0, from which COLMAP, nerfstudio and gaussian splatting start."""
+    save_ply: Path | None = None
+    """PLY file in which the landmarks of the final map are written with their gray values, with --slam."""
     imu_rate: Path | None = None
     """Second TUM file to write: one pose per IMU sample, propagated from the estimate of the newest frame before it."""
     reading: RecordingInput = field(default_factory=RecordingOptions)
@@ -125,8 +135,14 @@ def check_map_options(command: EstimateCommand) -> None:
     from dronevio.models.errors import ConfigError
 
     if not command.slam:
-        options = ("--save-map", command.save_map), ("--save-g2o", command.save_g2o), ("--map", command.saved_map)
-        for name, value in options:
+        options = {
+            "--save-map": command.save_map,
+            "--save-g2o": command.save_g2o,
+            "--save-colmap": command.save_colmap,
+            "--save-ply": command.save_ply,
+            "--map": command.saved_map,
+        }
+        for name, value in options.items():
             if value is not None:
                 raise ConfigError(f"{name} without --slam; expected both")
     if command.localize_only and command.saved_map is None:
@@ -193,16 +209,17 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     command = parse(EstimateCommand, arguments, "estimate")
 
-    from dronevio.models.errors import EvaluationError
-    from dronevio.models.recordings.files import check_output_path
+    from dronevio.models.errors import ConfigError, EvaluationError
+    from dronevio.models.reconstructions.formats import check_cameras
 
     check_map_options(command)
-    for place in result_files(command).values():
-        check_output_path(place)  # before the estimator runs
+    check_places(command)  # before the estimator runs
     segments = opened(command)
     commands = [numbered(command, number) for number in range(1, len(segments) + 1)]
-    for place in (place for each in commands[1:] for place in result_files(each).values()):
-        check_output_path(place)
+    for each in commands[1:]:
+        check_places(each)
+    if command.save_colmap is not None:
+        check_cameras([camera.model for camera in segments[0].rig.cameras], "colmap-binary")
     summaries: list[dict[str, Any]] = []
     for of_segment, segment in zip(commands, segments, strict=True):
         try:
@@ -214,7 +231,12 @@ def main(arguments: Sequence[str]) -> int:
             summaries.append({"recording": str(command.recording), "poses": 0, "reason": str(error)})
             continue
         summaries.append(summary_of(of_segment, found))
-        write_results(of_segment, found)
+        try:
+            write_results(of_segment, found)
+        except ConfigError as error:  # such as a map of too few keyframes
+            if len(segments) == 1:
+                raise
+            print_warning(f"{segment.name}: {error}")
         if not command.printing.json:
             print_estimation(of_segment, found, summaries[-1])
     if command.printing.json:
@@ -224,11 +246,13 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def write_results(command: EstimateCommand, found: Estimation) -> None:
-    """Write the files of the estimation of a segment.
+    """Write the files of the estimation of a segment, the trajectories first.
 
     Raises:
+        ConfigError: The map is too small for a file, or has no keyframe of this flight.
         InputError: A file cannot be written.
     """
+    from dronevio.cli.output_files import atomic_folder
     from dronevio.models.recordings.tum import write_tum
 
     places = result_files(command)
@@ -238,6 +262,11 @@ def write_results(command: EstimateCommand, found: Estimation) -> None:
         found.slam.save_map(command.save_map)
     if found.slam is not None and command.save_g2o is not None:
         found.slam.save_graph(command.save_g2o)
+    if found.slam is not None and command.save_colmap is not None:
+        with atomic_folder(command.save_colmap) as folder:
+            found.slam.save_colmap(folder, found.recording)
+    if found.slam is not None and command.save_ply is not None:
+        found.slam.save_ply(command.save_ply, found.recording)
 
 
 def print_estimation(command: EstimateCommand, found: Estimation, summary: dict[str, Any]) -> None:
@@ -261,12 +290,14 @@ def numbered(command: EstimateCommand, number: int) -> EstimateCommand:
         out=of_segment(command.out),
         save_map=command.save_map and of_segment(command.save_map),
         save_g2o=command.save_g2o and of_segment(command.save_g2o),
+        save_colmap=command.save_colmap and of_segment(command.save_colmap),
+        save_ply=command.save_ply and of_segment(command.save_ply),
         imu_rate=command.imu_rate and of_segment(command.imu_rate),
     )
 
 
 def result_files(command: EstimateCommand) -> dict[str, Path]:
-    """Return the files to write, by their keys in the summary."""
+    """Return the files and folders to write, by their keys in the summary."""
     files = {"estimate": command.out}
     if command.slam:
         files["map_estimate"] = command.out.with_stem(f"{command.out.stem}_map")
@@ -275,9 +306,29 @@ def result_files(command: EstimateCommand) -> dict[str, Path]:
         files["saved_map"] = command.save_map
     if command.save_g2o is not None:
         files["g2o"] = command.save_g2o
+    if command.save_colmap is not None:
+        files["colmap"] = command.save_colmap
+    if command.save_ply is not None:
+        files["ply"] = command.save_ply
     if command.imu_rate is not None:
         files["imu_rate"] = command.imu_rate
     return files
+
+
+def check_places(command: EstimateCommand) -> None:
+    """Check that the files and folders of a command can be written.
+
+    Raises:
+        InputError: One of them cannot, or the folder of --save-colmap exists and is not empty.
+    """
+    from dronevio.models.errors import InputError
+    from dronevio.models.recordings.files import check_output_path
+
+    for place in result_files(command).values():
+        if place is not command.save_colmap or not place.exists():
+            check_output_path(place)
+        elif not place.is_dir() or any(place.iterdir()):
+            raise InputError(place, "it exists already", "a new name for the folder of --save-colmap")
 
 
 def opened(command: EstimateCommand) -> "tuple[StoredRecording, ...]":

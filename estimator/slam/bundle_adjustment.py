@@ -253,7 +253,7 @@ def _add_landmarks(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, inputs: AdjustmentInputs, config: AdjustmentConfig
 ) -> None:
     """Add the landmarks with enough views and parallax, and their reprojection factors."""
-    table, points = _triangulated(inputs, config)
+    table, points = triangulated(map_observations(inputs, config), inputs, config)
     sensors = [gtsam.Pose3(T) for T in inputs.calibration.Ts_imu_cam]
     estimated = {camera for camera in np.unique(table.camera).tolist() if camera and config.rig_rotation_sigma_deg}
     _add_rig(graph, values, {camera: sensors[camera] for camera in estimated}, config)
@@ -293,17 +293,30 @@ def _add_rig(
         graph.add(gtsam.PriorFactorPose3(E(camera), T_imu_cam, noise))
 
 
-def _triangulated(inputs: AdjustmentInputs, config: AdjustmentConfig) -> tuple[ObservationTable, Mapping[int, Array]]:
-    """Return the observations of the landmarks that are used, and the landmarks (3,) by their identities.
-
-    Standard deviations are in pixels.
-    """
+def map_observations(inputs: AdjustmentInputs, config: AdjustmentConfig) -> ObservationTable:
+    """Return the observations by tracks, stereo matches and loops, sorted by landmark, with deviations in pixels."""
     tracks = ObservationTable.concatenated([keyframe.observations for keyframe in inputs.keyframes])
     tracks = replace(tracks, sigma_scale=config.pixel_sigma * tracks.sigma_scale)
     table = ObservationTable.concatenated([tracks, *(loop.observations for loop in inputs.loops)]).by_landmark()
     # A keyframe may see a landmark by several loops, since a track spans several earlier keyframes.
     of_one = np.column_stack([table.landmark, table.keyframe, table.camera])
-    table = table[np.sort(np.unique(of_one, axis=0, return_index=True)[1])]
+    return table[np.sort(np.unique(of_one, axis=0, return_index=True)[1])]
+
+
+def triangulated(
+    table: ObservationTable, inputs: AdjustmentInputs, config: AdjustmentConfig
+) -> tuple[ObservationTable, Mapping[int, Array]]:
+    """Return the landmarks that are used, triangulated from the poses of the keyframes.
+
+    Args:
+        table: Observations, sorted by landmark.
+        inputs: The keyframes and the calibration.
+        config: Settings.
+
+    Returns:
+        The observations of the landmarks with enough views and parallax, and the positions (3,) of these landmarks by
+        their identities, in increasing order.
+    """
     table, starts, counts = _with_views(table, config.min_views)
     if not len(table):
         return table, {}

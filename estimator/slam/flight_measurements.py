@@ -13,7 +13,7 @@ from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs, Adjustme
 from dronevio.estimator.slam.keyframe import MapKeyframe
 from dronevio.estimator.slam.pose_graph import PoseGraph
 from dronevio.estimator.types import Calibration, Observations
-from dronevio.models.imu import ImuModel, ImuSamples
+from dronevio.models.imu import ImuModel, ImuSamples, Times
 from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
@@ -37,6 +37,8 @@ class KeyframeMeasurements:
     """The IMU samples since those of the keyframe before, up to the keyframe or later."""
     imu_noise: PreintegrationParams
     """The noise of the IMU as it was known."""
+    stamp_ns: int
+    """Time stamp of the frame by the clock of the cameras [ns]."""
 
 
 class FlightMeasurements:
@@ -61,6 +63,14 @@ class FlightMeasurements:
         """
         self._keyframes[estimate.t_ns] = measured
         self._estimates[estimate.t_ns] = estimate
+
+    def of_flight(self, keyframes: Sequence[MapKeyframe]) -> list[MapKeyframe]:
+        """Return the keyframes that have measurements, unlike those of a loaded map."""
+        return [keyframe for keyframe in keyframes if keyframe.t_ns in self._keyframes]
+
+    def stamps_ns(self, keyframes: Sequence[MapKeyframe]) -> Times:
+        """Return the time stamps (K,) of the frames of keyframes with measurements [ns]."""
+        return np.array([self._keyframes[keyframe.t_ns].stamp_ns for keyframe in keyframes], dtype=np.int64)
 
     def covers(self, keyframes: Sequence[MapKeyframe]) -> bool:
         """Return whether all of some keyframes have measurements, unlike those of a loaded map."""

@@ -1,9 +1,11 @@
 """A pose graph as a g2o file, which other programs optimize or display.
 
 Lines ``VERTEX_SE3:QUAT`` hold the poses and ``EDGE_SE3:QUAT`` the relative poses of odometry and loops, each with its
-information matrix (Kümmerle et al., "g2o: A general framework for graph optimization", ICRA 2011). The format has no
-line for directions of gravity or for priors on positions: roll and pitch are then those of the first pose and of the
-relative poses.
+information matrix (Kümmerle et al., "g2o: A general framework for graph optimization", ICRA 2011). The matrix is that
+of the position and of the rotation vector, as GTSAM and the examples of Ceres read it. The program g2o itself takes the
+vector part of the quaternion in place of the rotation vector, which is half of it: there, rotations count a quarter.
+The format has no line for directions of gravity or for priors on positions: roll and pitch are then those of the first
+pose and of the relative poses.
 """
 
 from pathlib import Path
@@ -44,14 +46,12 @@ def _pose(T: Array) -> Array:
 
 
 def _information(relative: RelativePose) -> Array:
-    """Return the upper triangle (21,) of the information matrix of a relative pose, in g2o's coordinates.
+    """Return the upper triangle (21,) of the information matrix of a relative pose, in the order of the file.
 
-    These are the position, then the vector part of the quaternion, which is half of the rotation vector.
+    These are the position, then the rotation vector.
     """
     order = np.array([3, 4, 5, 0, 1, 2])
-    scale = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
-    covariance = relative.covariance[np.ix_(order, order)] * np.outer(scale, scale)
-    information = np.linalg.inv(covariance)
+    information = np.linalg.inv(relative.covariance[np.ix_(order, order)])
     return np.asarray(0.5 * (information + information.T)[np.triu_indices(6)])
 
 

@@ -160,6 +160,12 @@ class Mapper:
         return () if home is None else tuple(k for k in self._keyframes if k.track in home.tracks)
 
     @property
+    def adjusted_until(self) -> int:
+        """Number of the newest keyframe that bundle adjustment during the flight has moved; -1 before the first one."""
+        home = self._submap_of(self._home)
+        return -1 if home is None or home.adjustment is None else home.adjustment.newest
+
+    @property
     def summary(self) -> MapSummary:
         """Size of the map."""
         home, tracks = self._submap_of(self._home), {keyframe.track for keyframe in self._keyframes}

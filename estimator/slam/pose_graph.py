@@ -1,6 +1,6 @@
 """The pose graph of a map and its optimization: keyframes, connected by the odometry, by gravity and by loops."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -80,6 +80,10 @@ class PoseGraph:
     def with_loops(self, loops: Sequence[RelativePose]) -> "PoseGraph":
         """Return the graph with more loops."""
         return replace(self, loops=(*self.loops, *loops))
+
+    def between(self, numbers: Collection[int]) -> "PoseGraph":
+        """Return the graph with those of its loops whose keyframes are among some, by their numbers."""
+        return replace(self, loops=tuple(each for each in self.loops if {each.first, each.second} <= set(numbers)))
 
 
 @dataclass(frozen=True, eq=False)

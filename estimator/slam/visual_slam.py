@@ -22,6 +22,7 @@ from dronevio.estimator.keyframe_observer import OdometryKeyframe
 from dronevio.estimator.slam.adjuster import solved
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
+from dronevio.estimator.slam.final_graph import at_optimum, measured_in_map
 from dronevio.estimator.slam.flight_measurements import FlightMeasurements, KeyframeMeasurements
 from dronevio.estimator.slam.g2o import write_g2o
 from dronevio.estimator.slam.map_arrays import MapSummary
@@ -38,15 +39,19 @@ from dronevio.estimator.slam.map_builder import (
 from dronevio.estimator.slam.map_file import read_map, write_map
 from dronevio.estimator.slam.map_process import MapProcess
 from dronevio.estimator.slam.mapping import Mapper
-from dronevio.estimator.slam.pose_graph import OptimizedGraph
+from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph
 from dronevio.estimator.slam.saved_arrays import MIN_KEYFRAMES
 from dronevio.estimator.slam.saved_map import SavedMap, saved_map
 from dronevio.estimator.slam.schedule import CorrectionSchedule
+from dronevio.estimator.slam.structure import map_structure
 from dronevio.estimator.threads import single_threaded
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.map_correction import MapCorrection
+from dronevio.models.protocols import Recording
+from dronevio.models.reconstructions.ply import write_ply
+from dronevio.models.reconstructions.recorded import RecordedReconstruction, with_images, write_colmap_folder
 from dronevio.models.recordings.files import as_input_error
 from dronevio.models.rig import Rig
 from dronevio.models.slam_map import SlamMap
@@ -226,8 +231,26 @@ class VisualSlam:
         graph = solution.without_rejected
         write_map(Path(path), saved_map(self._rig.cameras, graph, mapper.keyframes, mapper.patches))
 
+    def final_graph(self) -> PoseGraph:
+        """Return the pose graph of the final map for other programs, without rejected loops; see `final_graph`.
+
+        Its poses are the optimum of its relative poses. Where all keyframes are of this flight, these are measured in
+        the final map; those of a loaded map stay as they are.
+
+        Raises:
+            ConfigError: No keyframe has joined the map.
+        """
+        mapper, solution = self._final_solution()
+        if solution is None:
+            raise ConfigError("map without keyframes; expected one or more to write its graph")
+        graph, c = solution.without_rejected, self._config
+        if self._measurements.covers(mapper.keyframes):
+            inputs, pose = self._measurements.inputs(mapper.keyframes, graph), c.mapping.localization.pose
+            graph = measured_in_map(graph, inputs, c.adjustment, pose, mapper.adjusted_until)
+        return at_optimum(graph)
+
     def save_graph(self, path: Path | str) -> None:
-        """Write the final pose graph as a g2o file, without rejected loops.
+        """Write `final_graph` as a g2o file.
 
         Args:
             path: File to write; an earlier one is replaced when the new one is complete.
@@ -236,10 +259,51 @@ class VisualSlam:
             ConfigError: No keyframe has joined the map.
             InputError: The file cannot be written.
         """
-        _, solution = self._final_solution()
-        if solution is None:
-            raise ConfigError("map without keyframes; expected one or more to write its graph")
-        write_g2o(Path(path), solution.without_rejected)
+        write_g2o(Path(path), self.final_graph())
+
+    def reconstruction(self) -> RecordedReconstruction:
+        """Return the keyframes of the flight at their final poses, with the landmarks that they observe.
+
+        Keyframes of a loaded map are left out, since a saved map has neither images nor observations.
+
+        Raises:
+            ConfigError: No keyframe of the flight has joined the map.
+        """
+        mapper, solution = self._final_solution()
+        keyframes = self._measurements.of_flight(mapper.keyframes)
+        if solution is None or not keyframes:
+            raise ConfigError("map without keyframes of this flight; expected one or more to write its landmarks")
+        graph = solution.without_rejected.between({keyframe.number for keyframe in keyframes})
+        inputs = self._measurements.inputs(keyframes, graph)
+        return map_structure(inputs, self._config.adjustment, self._measurements.stamps_ns(keyframes))
+
+    def save_colmap(self, folder: Path | str, recording: Recording) -> None:
+        """Write keyframes and landmarks as a folder with ``images`` and a model of COLMAP, ``sparse/0``.
+
+        Args:
+            folder: Folder to write to, empty or new.
+            recording: The recording of the flight, whose images are read again: the map does not keep them.
+
+        Raises:
+            ConfigError: No keyframe of the flight has joined the map, COLMAP does not have the lens of a camera, or the
+                recording is another one.
+            InputError: The folder cannot be written to or contains another model, or an image cannot be read.
+        """
+        write_colmap_folder(Path(folder), self.reconstruction(), recording)
+
+    def save_ply(self, path: Path | str, recording: Recording | None = None) -> None:
+        """Write the landmarks as a PLY file.
+
+        Args:
+            path: File to write; an earlier one is replaced when the new one is complete.
+            recording: The recording of the flight, whose images give the points their gray values.
+
+        Raises:
+            ConfigError: No keyframe of the flight has joined the map, or the recording is another one.
+            InputError: The file cannot be written, or an image cannot be read.
+        """
+        found = self.reconstruction()
+        write_ply(Path(path), found.reconstruction if recording is None else with_images(found, recording))
 
     @single_threaded()
     def _final_solution(self) -> tuple[Mapper, OptimizedGraph | None]:
@@ -282,7 +346,7 @@ class _KeyframeMessages:
         self._has_track = False  # whether there has been a keyframe since the last loss
         self._imu_noise: PreintegrationParams | None = None
         self._has_map_pose = True
-        self._waiting: dict[int, tuple[OdometryKeyframe, ImagedKeyframe]] = {}
+        self._waiting: dict[int, tuple[OdometryKeyframe, ImagedKeyframe, int]] = {}  # and its stamp
         self._messages: list[MapMessage] = []
 
     def add_imu(self, samples: ImuSamples) -> None:
@@ -322,7 +386,7 @@ class _KeyframeMessages:
             self._has_track = True
         images, R_odom_imu = tuple(frame.images), keyframe.state.T_world_imu[:3, :3]
         imaged = ImagedKeyframe(images, keyframe.calibration.rig, R_odom_imu, keyframe.observations)
-        self._waiting[keyframe.t_ns] = keyframe, imaged
+        self._waiting[keyframe.t_ns] = keyframe, imaged, frame.t_ns
         if not self._has_map_pose:
             estimate = KeyframeEstimate.of_state(keyframe.state, keyframe.landmark_ids, keyframe.landmarks_odom)
             self._messages.append(WindowKeyframe(imaged, estimate))
@@ -332,12 +396,14 @@ class _KeyframeMessages:
         waiting = self._waiting.pop(estimate.t_ns, None)
         if waiting is None:
             return
-        known, imaged = waiting
+        known, imaged, stamp_ns = waiting
         measured = None
         if self._imu is not None and self._imu_noise is not None:
             # Several keyframes may leave the window at one frame, of which the later ones have no further samples.
             imu, self._imu = ImuSamples.concatenated(self._imu or [ImuSamples.empty()]), deque()
-            measured = KeyframeMeasurements(known.state, known.observations, known.calibration, imu, self._imu_noise)
+            measured = KeyframeMeasurements(
+                known.state, known.observations, known.calibration, imu, self._imu_noise, stamp_ns
+            )
         self._messages.append(MarginalizedKeyframe(imaged, estimate, measured))
 
     def lost(self) -> None:

@@ -14,12 +14,16 @@ import pytest
 import dronevio as dv
 from dronevio.benchmark_jobs import scenario_flights
 from dronevio.cli import main
+from dronevio.cli.estimate import EstimateCommand, check_places, numbered, result_files
 from dronevio.models.camera import CameraModel
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples
+from dronevio.models.reconstructions import read_colmap, read_ply
 from dronevio.models.recordings.calibration.exports import kalibr_files
+from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rig_presets import rig_named
+from dronevio.models.rotation import inverse_pose
 from dronevio.registry import ESTIMATORS, estimator_named
 from dronevio.sim.cameras.imaging import VI_SENSOR
 from dronevio.sim.scenario import Scenario
@@ -101,7 +105,9 @@ def test_all_cameras_are_used_by_default(
     assert (tmp_path / "vio-stereo.tum").read_bytes() == (stereo.folder / "estimate.tum").read_bytes()
 
 
-def test_map_leaves_the_odometry_as_it_is(stereo: Result, run_command: CommandRunner, tmp_path: Path) -> None:
+def test_map_leaves_the_odometry_as_it_is(
+    stereo: Result, run_command: CommandRunner, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "slam.tum"
     shown = run_command(tmp_path, "estimate", stereo.folder / "recording", "--slam", "--out", out)
     assert out.read_bytes() == (stereo.folder / "estimate.tum").read_bytes()
@@ -112,14 +118,47 @@ def test_map_leaves_the_odometry_as_it_is(stereo: Result, run_command: CommandRu
         np.testing.assert_allclose(corrected.p_world_imu, odometry.p_world_imu, atol=1e-6)  # there is no loop
     assert "keyframes of the map" in shown.out and "slam_map_final.tum" in shown.out
     assert re.search(r"frames that waited for the map .*\d+ of \d+ corrections", shown.out)
-    same = tmp_path / "same.tum"
-    arguments = "--slam", "--map.no-worker", "--out", same, "--json"
+    same, folder, cloud = tmp_path / "same.tum", tmp_path / "colmap", tmp_path / "points.ply"
+    exports = "--save-colmap", folder, "--save-ply", cloud, "--save-g2o", tmp_path / "graph.g2o"
+    arguments = "--slam", "--map.no-worker", "--out", same, "--json", *exports
     document = run_command(tmp_path, "estimate", stereo.folder / "recording", *arguments).document
     assert document["map_cost"]["waits"] == document["map_cpu_ms_per_frame"] == 0
     assert document["map_cost"]["frames"] == document["frames"] and document["map_cost"]["results"] > 0
     for suffix in ("map", "map_final"):
         expected = (tmp_path / f"slam_{suffix}.tum").read_bytes()
         assert (tmp_path / f"same_{suffix}.tum").read_bytes() == expected
+    assert (document["colmap"], document["ply"]) == (str(folder), str(cloud))
+    check_exports(folder, cloud, stereo.folder / "recording", tmp_path / "same_map_final.tum", document)
+    again = ["estimate", str(stereo.folder / "recording"), *map(str, arguments)]
+    assert main(again) == 2
+    assert "it exists already; expected a new name for the folder of --save-colmap" in capsys.readouterr().err
+
+
+def check_exports(folder: Path, cloud: Path, recording: Path, final: Path, document: dict[str, Any]) -> None:
+    """Check a folder for COLMAP and a point cloud, by COLMAP's own reader and projection where it is installed."""
+    r, trajectory, rig = read_colmap(folder / "sparse" / "0"), read_tum(final), open_recording(recording).rig
+    assert len(r.image_names) == 2 * document["map"]["keyframes"] and len(r.points) > 100
+    assert np.median(r.reprojection_errors_px()) < 0.3 and r.track_lengths().min() >= 3
+    for i, name in enumerate(r.image_names):
+        camera, file = name.split("/")
+        original = recording / "mav0" / camera / "data" / file
+        assert (folder / "images" / name).read_bytes() == original.read_bytes()
+        row = int(np.searchsorted(trajectory.t_ns, int(original.stem)))  # a keyframe is a frame with a pose
+        p = r.Ts_world_cam[i] @ inverse_pose(rig.cameras[int(camera[-1])].T_imu_cam)
+        np.testing.assert_allclose(p[:3, 3], trajectory.p_world_imu[row], atol=0.01)
+    gray = r.colours[:, 0].astype(float)
+    assert gray.std() > 10.0 and np.array_equal(r.colours[:, 0], r.colours[:, 2])
+    points = read_ply(cloud)
+    np.testing.assert_allclose(points.points, r.points)
+    np.testing.assert_array_equal(points.colours, r.colours)
+    pycolmap = pytest.importorskip("pycolmap")
+    theirs = pycolmap.Reconstruction(str(folder / "sparse" / "0"))
+    errors_px = [
+        np.linalg.norm(image.project_point(theirs.point3D(point.point3D_id).xyz) - point.xy)
+        for image in theirs.images.values()
+        for point in image.points2D
+    ]
+    np.testing.assert_allclose(np.median(errors_px), np.median(r.reprojection_errors_px()), atol=1e-6)
 
 
 @pytest.mark.slow
@@ -157,6 +196,8 @@ def test_a_saved_map_is_continued(
     ("options", "message"),
     [
         (("--save-map", "x.map"), "--save-map without --slam"),
+        (("--save-colmap", "x"), "--save-colmap without --slam"),
+        (("--save-ply", "x.ply"), "--save-ply without --slam"),
         (("--map", "x.map"), "--map without --slam"),
         (("--slam", "--localize-only"), "--localize-only without --map"),
         (("--slam", "--map", "x.map", "--localize-only", "--save-map", "y"), "--localize-only with --save-map"),
@@ -170,6 +211,37 @@ def test_wrong_options_of_maps_are_refused(
     assert main(["estimate", str(stereo.folder / "recording"), *options]) == 2
     assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_lenses_that_colmap_lacks_are_refused_first(
+    stereo: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = open_recording(stereo.folder / "recording")
+    model = replace(recording.rig.cameras[0].model, distortion=(0.1, 0.5), lens="ds")
+    rig = replace(recording.rig, cameras=(replace(recording.rig.cameras[0], model=model),))
+    nothing = ImuSamples(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
+    for name, text in kalibr_files(rig, nothing.t_ns, nothing).items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    files = sorted(str(file) for file in tmp_path.iterdir())
+    words = "--cameras", "1", "--calibration", *files, "--slam", "--save-colmap", str(tmp_path / "colmap")
+    assert main(["estimate", str(stereo.folder / "recording"), *words, "--out", str(tmp_path / "e.tum")]) == 2
+    assert "ds" in capsys.readouterr().err and sorted(str(file) for file in tmp_path.iterdir()) == files
+
+
+def test_exports_of_segments_have_numbers(tmp_path: Path) -> None:
+    command = EstimateCommand(
+        tmp_path, tmp_path / "e.tum", slam=True, save_colmap=tmp_path / "colmap", save_ply=tmp_path / "points.ply"
+    )
+    assert numbered(command, 1) == command
+    second = numbered(command, 2)
+    files = result_files(second)
+    assert (files["colmap"], files["ply"]) == (tmp_path / "colmap_2", tmp_path / "points_2.ply")
+    (tmp_path / "colmap_2").mkdir()
+    check_places(second)  # an empty folder is free
+    (tmp_path / "colmap_2" / "notes.txt").touch()
+    with pytest.raises(InputError, match="colmap_2: it exists already"):
+        check_places(second)
+    check_places(command)
 
 
 def test_dead_mapping_process_is_reported_as_a_defect(

@@ -11,8 +11,10 @@ import pytest
 
 import dronevio as dv
 from dronevio.cli import main
+from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
+from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.segments import segments_of
 from dronevio.models.recordings.tum import read_tum, write_tum
@@ -68,6 +70,25 @@ def test_each_segment_has_its_files_and_figures(estimated: Result, stepped: Path
         assert np.isin(poses.t_ns - shift_ns, whole.frame_times_ns[frames]).all() and len(poses) > 0.3 * half
         shifted = Trajectory(poses.t_ns - shift_ns, poses.p_world_imu, poses.quat_wxyz)
         assert dv.ate(truth, shifted).rmse < 0.05
+
+
+def test_a_segment_without_a_map_does_not_end_the_others(
+    stepped: Path, run_command: CommandRunner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written, save_ply = [], VisualSlam.save_ply
+
+    def save(slam: VisualSlam, path: Path, recording: Recording) -> None:
+        """Refuse the map of the first segment."""
+        written.append(path.name)
+        if len(written) == 1:
+            raise ConfigError("map without keyframes of this flight; expected one or more")
+        save_ply(slam, path, recording)
+
+    monkeypatch.setattr(VisualSlam, "save_ply", save)
+    words = "--slam", "--map.no-worker", "--save-ply", tmp_path / "p.ply", "--out", tmp_path / "e.tum"
+    shown = run_command(tmp_path, "estimate", stepped, *words)
+    assert written == ["p.ply", "p_2.ply"] and "warning: flight" in shown.err and "map without keyframes" in shown.err
+    assert {file.name for file in tmp_path.iterdir()} >= {"e.tum", "e_2.tum", "e_2_map.tum"}
 
 
 def test_the_library_estimates_all_segments(estimated: Result, stepped: Path, tmp_path: Path) -> None:

@@ -28,8 +28,13 @@ def test_a_graph_is_read_back_by_gtsam(odometry_flight: "OdometryFlight", tmp_pa
         np.testing.assert_allclose(values.atPose3(number).matrix(), T, atol=1e-9)
     read = [cast(gtsam.BetweenFactorPose3, factors.at(i)) for i in range(factors.size())]
     found = {tuple(factor.keys()): factor.measured().matrix() for factor in read}
+    noises = {tuple(factor.keys()): cast(gtsam.noiseModel.Gaussian, factor.noiseModel()) for factor in read}
     for relative in (*graph.odometry, *graph.loops):
-        np.testing.assert_allclose(found[relative.first, relative.second], relative.T_first_second, atol=1e-9)
+        of_edge = relative.first, relative.second
+        np.testing.assert_allclose(found[of_edge], relative.T_first_second, atol=1e-9)
+        sigmas = np.sqrt(np.diag(relative.covariance))
+        error = (noises[of_edge].covariance() - relative.covariance) / np.outer(sigmas, sigmas)
+        np.testing.assert_allclose(error, 0.0, atol=1e-6)
 
 
 def test_lines_by_hand(tmp_path: Path) -> None:
@@ -43,10 +48,10 @@ def test_lines_by_hand(tmp_path: Path) -> None:
     assert lines[3][:3] == ["EDGE_SE3:QUAT", "4", "7"] and len(lines[3]) == 3 + 7 + 21
     information = np.zeros((6, 6))
     information[np.triu_indices(6)] = [float(word) for word in lines[3][10:]]
-    # Position first; a variance of the rotation vector is four times that of the quaternion's vector part.
+    # Position first, then the rotation vector, as GTSAM and Ceres read it.
     np.testing.assert_allclose(np.diag(information)[[1, 2]], [1 / 2.0, 1 / 4.0], rtol=1e-12)
-    np.testing.assert_allclose(np.diag(information)[[4, 5]], [4 / 0.2, 4 / 0.5], rtol=1e-12)
+    np.testing.assert_allclose(np.diag(information)[[4, 5]], [1 / 0.2, 1 / 0.5], rtol=1e-12)
     determinant = 0.1 * 1.0 - 0.1**2
     np.testing.assert_allclose(information[0, 0], 0.1 / determinant, rtol=1e-12)
-    np.testing.assert_allclose(information[3, 3], 4 * 1.0 / determinant, rtol=1e-12)
-    np.testing.assert_allclose(information[0, 3], -2 * 0.1 / determinant, rtol=1e-12)
+    np.testing.assert_allclose(information[3, 3], 1.0 / determinant, rtol=1e-12)
+    np.testing.assert_allclose(information[0, 3], -0.1 / determinant, rtol=1e-12)

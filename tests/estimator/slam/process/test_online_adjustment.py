@@ -63,7 +63,7 @@ def measured(message: MarginalizedKeyframe) -> MarginalizedKeyframe:
     imu = ImuSamples(np.array([t_ns]), np.zeros((1, 3)), np.zeros((1, 3)))
     noise = PreintegrationParams.of(rig.imu, PreintegrationConfig())
     observations = message.keyframe.observations
-    return replace(message, measured=KeyframeMeasurements(state, observations, Calibration(rig), imu, noise))
+    return replace(message, measured=KeyframeMeasurements(state, observations, Calibration(rig), imu, noise, t_ns))
 
 
 def laps(count: int) -> list[MarginalizedKeyframe]:

@@ -13,6 +13,7 @@ from dronevio.estimator.slam import visual_slam
 from dronevio.estimator.slam.adjuster import LocalAdjuster
 from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig
 from dronevio.estimator.slam.config import SlamConfig
+from dronevio.estimator.slam.final_graph import at_optimum
 from dronevio.estimator.slam.map_builder import MapBuilder, MarginalizedKeyframe
 from dronevio.estimator.slam.map_file import read_map
 from dronevio.estimator.slam.odometry_factors import RelativePose
@@ -20,6 +21,7 @@ from dronevio.estimator.slam.pose_graph import optimize
 from dronevio.estimator.slam.saved_map import FIRST_KNOWN_LANDMARK, LAST_KNOWN_NS, SavedMap, saved_map
 from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import inverse_pose
 from dronevio.models.state import CameraFrame, Estimate
@@ -114,6 +116,27 @@ def test_merged_flights_are_one_map(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     assert third.summary.keyframes == 2 * PLACES - DELAY + new
 
 
+def test_exports_of_a_merged_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The graph has the keyframes of both flights, at its optimum; there are images of the second one alone."""
+    rig = one_camera()
+    keyframes = [in_second_frame(keyframe(rig, place, 1)) for place in range(PLACES)]
+    monkeypatch.setattr(visual_slam, "VisualInertialOdometry", ScriptedOdometry(keyframes))
+    slam = VisualSlam(rig, config=SlamConfig(worker=False, correction_delay=CORRECTION_DELAY), map=lap_map())
+    for message in keyframes:
+        t_ns = message.estimate.t_ns
+        slam.add_imu(ImuSamples(np.array([t_ns]), np.zeros((1, 3)), np.zeros((1, 3))))
+        slam.add_frame(_frame(message))
+    graph, final = slam.final_graph(), slam.final_map()
+    assert final is not None and len(graph.poses) == len(final.t_ns) == 2 * PLACES - DELAY
+    for number, T in at_optimum(graph).poses.items():
+        np.testing.assert_allclose(T, graph.poses[number], atol=1e-5)
+    assert [loop.T_first_second.tolist() for loop in graph.loops] == final.Ts_then_now[~final.rejected].tolist()
+    found = slam.reconstruction()
+    assert found.stamps_ns.tolist() == [message.estimate.t_ns for message in keyframes[:-DELAY]]
+    Ts_map_cam = final.Ts_map_imu[PLACES:] @ rig.cameras[0].T_imu_cam
+    np.testing.assert_allclose(found.reconstruction.Ts_world_cam, Ts_map_cam, atol=1e-9)
+
+
 def test_a_flight_elsewhere_stays_apart(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     slam, estimates = fly(monkeypatch, range(20, 20 + PLACES), lap_map())
     assert all(estimate.T_map_odom is None for estimate in estimates)
@@ -180,6 +203,8 @@ def test_options_that_contradict_each_other(monkeypatch: pytest.MonkeyPatch, tmp
     slam, _ = fly(monkeypatch, [], lap_map())
     with pytest.raises(ConfigError, match="not joined"):
         slam.save_map(tmp_path / "room.map")
+    with pytest.raises(ConfigError, match="map without keyframes of this flight"):
+        slam.save_ply(tmp_path / "points.ply")
 
 
 def shifted(rig: Rig, **camera: object) -> Rig:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -12,10 +13,13 @@ from dronevio.estimator.imu.preintegration import PreintegrationConfig, Preinteg
 from dronevio.estimator.keyframe_observer import KeyframeObserver, OdometryKeyframe
 from dronevio.estimator.slam import visual_slam
 from dronevio.estimator.slam.config import SlamConfig
+from dronevio.estimator.slam.flight_measurements import FlightMeasurements
+from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
 from dronevio.estimator.slam.map_builder import MarginalizedKeyframe
 from dronevio.estimator.slam.schedule import DelayConfig
 from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.estimator.types import Calibration
+from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import pose_matrix, rotation_z
@@ -165,6 +169,30 @@ def test_final_path_has_the_keyframes_at_their_final_poses(monkeypatch: pytest.M
     np.testing.assert_allclose(found.p_world_imu[at_keyframes], final.Ts_map_imu[:, :3, 3], atol=1e-9)
 
 
+def test_a_map_without_loops_is_exported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    rig = one_camera()
+    messages = [keyframe(rig, place, 0) for place in range(PLACES)]
+    slam, _ = run(monkeypatch, messages, np.eye(4))
+    found = slam.reconstruction()
+    assert found.stamps_ns.tolist() == [message.estimate.t_ns for message in messages[:-DELAY]]
+    for T_map_cam, message in zip(found.reconstruction.Ts_world_cam, messages[:-DELAY], strict=True):
+        np.testing.assert_allclose(T_map_cam, message.estimate.T_odom_imu @ rig.cameras[0].T_imu_cam, atol=1e-9)
+    slam.save_graph(tmp_path / "graph.g2o")
+    assert (tmp_path / "graph.g2o").read_text().count("EDGE") == PLACES - DELAY - 1
+
+
+def test_a_map_without_keyframes_is_not_exported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    slam, _ = run(monkeypatch, [keyframe(one_camera(), 0, 0)], np.eye(4))
+    for save in (
+        lambda: slam.save_graph(tmp_path / "graph.g2o"),
+        lambda: slam.save_ply(tmp_path / "points.ply"),
+        slam.reconstruction,
+    ):
+        with pytest.raises(ConfigError, match=r"map without keyframes.*; expected one or more"):
+            save()
+    assert not list(tmp_path.iterdir())
+
+
 def test_keyframes_that_leave_together_have_measurements() -> None:
     rig, messages = one_camera(), visual_slam._KeyframeMessages(window_s=3.0)
     noise = PreintegrationParams.of(rig.imu, PreintegrationConfig())
@@ -184,6 +212,27 @@ def test_keyframes_that_leave_together_have_measurements() -> None:
         messages.marginalized(each.estimate)
     found = [m.measured for m in messages.take() if isinstance(m, MarginalizedKeyframe)]
     assert [m is not None and len(m.imu) for m in found] == [2, 0]
+
+
+def test_images_of_keyframes_are_found_by_their_stamps() -> None:
+    """The time of a keyframe is that of the clock of the IMU, from which the cameras' clock may differ."""
+    rig, known, offset_ns = one_camera(), keyframe(one_camera(), 0, 0), -7_000_000
+    messages, measurements = visual_slam._KeyframeMessages(window_s=3.0), FlightMeasurements(rig.imu)
+    noise, t_ns = PreintegrationParams.of(rig.imu, PreintegrationConfig()), known.estimate.t_ns
+    messages.add_imu(ImuSamples(np.array([t_ns]), np.zeros((1, 3)), np.zeros((1, 3))))
+    messages.begin_frame(CameraFrame(t_ns - offset_ns, known.keyframe.images), noise, has_map_pose=True)
+    state = NavState(t_ns, known.estimate.T_odom_imu, np.zeros(3), np.zeros(3), np.zeros(3))
+    landmarks = known.estimate.landmark_ids, known.estimate.landmarks_odom
+    added = OdometryKeyframe(
+        t_ns, state, known.keyframe.observations, Calibration(rig), True, True, (t_ns,), *landmarks
+    )
+    messages.added(added)
+    messages.marginalized(known.estimate)
+    (message,) = messages.take()
+    assert isinstance(message, MarginalizedKeyframe) and message.measured is not None
+    measurements.add(t_ns, message.measured)
+    of_map = MapKeyframe(0, t_ns, known.estimate.T_odom_imu, NO_KEYFRAME_FEATURES, *landmarks)
+    assert measurements.stamps_ns([of_map]).tolist() == [t_ns - offset_ns]
 
 
 def test_samples_are_kept_from_a_window_before_a_track_on() -> None:
