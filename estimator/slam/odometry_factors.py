@@ -14,7 +14,8 @@ same direction: the relative covariances of neighbouring keyframes alone add up 
 The uncertainty of an odometry can also decrease, as where an error of scale becomes known on the way back to the start.
 A later keyframe is then known better than those before it, which no sum of relative poses expresses. Its position gets
 a prior. The relative pose before it gets the covariance by which the previous keyframe is known worse: where one
-estimate contains all that the other one knows, their difference has the difference of their covariances.
+estimate contains all that the other one knows, their difference has the difference of their covariances. The same holds
+for roll and pitch, which become known in the first seconds.
 """
 
 from dataclasses import dataclass, replace
@@ -155,10 +156,11 @@ def odometry_factors(
         added = least + _position_excess(expected, estimate.covariance)
     else:
         position, added = None, least + _missing_growth(estimate, expected)
-    relative = RelativePose(previous.number, number, T, added)
-    P = transported + added
     up = estimate.T_odom_imu[:3, :3].T @ _UP
     tilt = tilt_axes(up)
+    added = added + _tilt_excess(expected, estimate.covariance, tilt)
+    relative = RelativePose(previous.number, number, T, added)
+    P = transported + added
     information = _information(tilt, estimate.covariance) - _information(tilt, P)
     mean_information = float(np.trace(information)) / 2.0
     gravity = None if mean_information <= 0.0 else GravityDirection(number, up, mean_information**-0.5)
@@ -252,10 +254,29 @@ def _missing_growth(estimate: KeyframeEstimate, covariance: Array) -> Array:
 
 def _position_excess(covariance: Array, smaller: Array) -> Array:
     """Return what a covariance (6, 6) of a position has beyond a smaller one; nothing where it is the smaller one."""
-    P, excess = smaller[3:, 3:], np.zeros((6, 6))
-    ratios, V = scipy.linalg.eigh(covariance[3:, 3:], P)  # V.T @ P @ V is the identity
-    excess[3:, 3:] = (P @ V * np.maximum(ratios - 1.0, 0.0)) @ (P @ V).T
+    excess = np.zeros((6, 6))
+    excess[3:, 3:] = _excess(covariance[3:, 3:], smaller[3:, 3:])
     return excess
+
+
+def _tilt_excess(covariance: Array, smaller: Array, tilt: Array) -> Array:
+    """Return what a covariance (6, 6) of a direction of gravity has beyond a smaller one; see `_position_excess`.
+
+    Args:
+        covariance: (6, 6) Covariance of a pose.
+        smaller: (6, 6) The other one.
+        tilt: (2, 3) Axes across the direction of gravity.
+    """
+    excess = np.zeros((6, 6))
+    two, other = (tilt @ each[:3, :3] @ tilt.T for each in (covariance, smaller))
+    excess[:3, :3] = tilt.T @ _excess(two, other) @ tilt
+    return excess
+
+
+def _excess(covariance: Array, smaller: Array) -> Array:
+    """Return the positive part of the difference of two covariances (M, M)."""
+    ratios, V = scipy.linalg.eigh(covariance, smaller)  # V.T @ smaller @ V is the identity
+    return np.asarray((smaller @ V * np.maximum(ratios - 1.0, 0.0)) @ (smaller @ V).T)
 
 
 def _updated(P: Array, H: Array, R: Array) -> Array:

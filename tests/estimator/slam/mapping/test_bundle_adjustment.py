@@ -38,7 +38,8 @@ def test_adjustment_is_better_than_the_odometry(
     error_m, of_odometry_m, of_graph_m = (
         rmse_m(odometry_flight, adjustment_inputs, poses) for poses in (adjusted, odometry, graph_solution.graph.poses)
     )
-    assert error_m < 0.8 * of_odometry_m and error_m < 1.1 * of_graph_m, (error_m, of_odometry_m, of_graph_m)
+    # The graph, whose loops are measured to a millimetre, is better here than it was: 2.2 mm of 6.8 mm.
+    assert error_m < 0.45 * of_odometry_m and of_graph_m < 0.4 * of_odometry_m, (error_m, of_odometry_m, of_graph_m)
 
 
 def test_adjustment_converges_from_worse_poses(

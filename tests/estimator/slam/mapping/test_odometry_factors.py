@@ -76,8 +76,10 @@ def test_new_knowledge_of_the_tilt_is_a_direction_of_gravity() -> None:
     gravity = factors.gravity
     assert gravity is not None and gravity.keyframe == 1
     np.testing.assert_allclose(gravity.up_imu, [0.0, 0.0, 1.0], atol=1e-12)
-    # Information adds: 1/1e-6 = 1/(4e-6 + 1e-10) + 1/σ².
-    assert gravity.sigma_rad**-2 == pytest.approx(1.0 / 1e-6 - 1.0 / 4.0001e-6, rel=1e-6)
+    # The relative tilt errs by what the first keyframe is known worse: the difference of the variances.
+    np.testing.assert_allclose(np.diag(factors.relative.covariance)[:2], 1e-10 + 3.0001e-6, rtol=1e-6)
+    # Information adds: 1/1e-6 = 1/(4e-6 + 1e-10 + 3.0001e-6) + 1/σ².
+    assert gravity.sigma_rad**-2 == pytest.approx(1.0 / 1e-6 - 1.0 / 7.0002e-6, rel=1e-6)
     np.testing.assert_allclose(np.diag(node.covariance)[:2], 1e-6, rtol=1e-6)
 
 
