@@ -51,6 +51,7 @@ class MapResults:
             "points": len(self.map.points),
             "loops": len(self.map.loops) - rejected,
             "rejected_loops": rejected,
+            "adjustment": self.map.adjustment or None,
             "online": None if self.scored_online is None else asdict(self.scored_online.scores),
             "final": None if self.scored_final is None else asdict(self.scored_final.scores),
         }

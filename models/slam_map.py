@@ -42,6 +42,9 @@ class SlamMap:
     """(K,) Number of the track of each keyframe, not decreasing."""
     starts_ns: Times
     """(T,) Times at which the tracks begin, the first of them before all keyframes, strictly increasing [ns]."""
+    adjustment: str = ""
+    """What has determined the scale of the bundle adjustment of a final map, or why the adjusted map is not used; empty
+    without one, as without loops."""
 
     def __post_init__(self) -> None:
         """Check the shapes, the times and the rows.

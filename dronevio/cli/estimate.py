@@ -116,11 +116,12 @@ def map_rows(slam: "VisualSlam | None") -> tuple[tuple[str, str, str], ...]:
     """Return rows of names, values and units that describe the map; none without a map."""
     if slam is None:
         return ()
-    summary, cost = slam.summary, slam.map_cost
+    summary, cost, final = slam.summary, slam.map_cost, slam.final_map()
     return (
         ("keyframes of the map", f"{summary.keyframes}", ""),
         ("loops", f"{summary.loops}", ""),
         ("rejected loops", f"{summary.rejected_loops}", ""),
+        ("bundle adjustment of the map", (final.adjustment if final else "") or "–", ""),
         ("processor time of the map per frame", f"{cost.worker_cpu_ms_per_frame:.1f}", "ms"),
         ("frames that waited for the map", f"{cost.waits} of {cost.results} corrections", ""),
     )

@@ -253,7 +253,7 @@ def print_report(title: str, report: dict[str, Any]) -> None:
     """Print the main figures of a ``report.json``; a dash stands for a value that is not known."""
     scores, timing = report["scores"], report["timing"]
     rpe_m, rpe_deg = scores["rpe_m"] or {"rmse": None}, scores["rpe_deg"] or {"rmse": None}
-    shown: list[tuple[str, float | None, str, str]] = [
+    shown: list[tuple[str, float | str | None, str, str]] = [
         ("length of the path", report["flight"]["path_m"], ".1f", "m"),
         ("ATE, yaw and position aligned", scores["ate_m"]["rmse"], ".3f", "m"),
         ("RPE over 1 s, position", rpe_m["rmse"], ".3f", "m"),
@@ -273,7 +273,7 @@ def print_report(title: str, report: dict[str, Any]) -> None:
     )
 
 
-def _map_rows(report: dict[str, Any]) -> tuple[tuple[str, float | None, str, str], ...]:
+def _map_rows(report: dict[str, Any]) -> tuple[tuple[str, float | str | None, str, str], ...]:
     """Return names, values, formats and units of the figures of the map; none without a map."""
     if (of_map := report["map"]) is None:
         return ()
@@ -282,6 +282,7 @@ def _map_rows(report: dict[str, Any]) -> tuple[tuple[str, float | None, str, str
         *_corrected_rows("map, online", of_map["online"]),
         *_corrected_rows("map, final", of_map["final"]),
         *((label, of_map[key], "d", "") for label, key in size),
+        ("bundle adjustment of the map", of_map["adjustment"], "s", ""),
     )
 
 

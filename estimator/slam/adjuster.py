@@ -28,6 +28,16 @@ MAX_NOISE_RATIO = 4.0
 it is 8 to 17, and such errors are not white."""
 
 
+@dataclass(frozen=True, eq=False)
+class AdjustmentOutcome:
+    """The outcome of a bundle adjustment of a map."""
+
+    poses: Mapping[int, Array] | None
+    """Adjusted poses (4, 4) by the numbers of the keyframes; None if the adjusted map is not used."""
+    text: str
+    """What has determined the scale, or why the adjusted map is not used."""
+
+
 class Adjuster(Protocol):
     """Adjusts one map at a time."""
 
@@ -100,16 +110,6 @@ class ProcessAdjuster:
         adjustment, cpu_s = future.result()
         self._cpu_s += cpu_s
         return adjustment
-
-
-@dataclass(frozen=True, eq=False)
-class AdjustmentOutcome:
-    """The outcome of a bundle adjustment of a map."""
-
-    poses: Mapping[int, Array] | None
-    """Adjusted poses (4, 4) by the numbers of the keyframes; None if the adjusted map is not used."""
-    text: str
-    """What has determined the scale, or why the adjusted map is not used."""
 
 
 def solved(inputs: AdjustmentInputs, config: AdjustmentConfig) -> AdjustmentOutcome:

@@ -32,6 +32,8 @@ class Correction:
     """Times of the earlier and the later keyframe of each of these loops [ns]."""
     judged_loops: int = 0
     """Number of loops of the submap that an optimization has accepted or rejected."""
+    events: tuple[str, ...] = ()
+    """What became of a bundle adjustment, for users."""
 
     def covariance_at(self, state: NavState) -> Array | None:
         """Return the covariance (6, 6) of a later pose of the same track in the map frame.

@@ -7,7 +7,7 @@ another one. Both let a `MapBuilder` do the work, so that their answers are equa
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -167,20 +167,22 @@ class MapBuilder:
             case WindowKeyframe(keyframe, estimate):
                 return self.mapper.locate(estimate, self._view(keyframe))
             case MarginalizedKeyframe(keyframe, estimate, measured):
-                self._finish_adjustment()
-                correction = self.mapper.add(estimate, self._view(keyframe))
+                events = self._finish_adjustment()
+                correction = replace(self.mapper.add(estimate, self._view(keyframe)), events=events)
                 if self._measurements is not None and measured is not None:
                     self._measurements.add(estimate, measured)
                     self._begin_adjustment(self._measurements, correction)
                 return correction
 
-    def _finish_adjustment(self) -> None:
-        """Adjust the map if the result of an adjustment is due at a new keyframe."""
+    def _finish_adjustment(self) -> tuple[str, ...]:
+        """Adjust the map if the result of an adjustment is due at a new keyframe, and return what happened."""
         self._keyframes += 1
-        if self._schedule.takes_effect(self._keyframes):
-            poses = self._adjuster.result()
-            if poses is not None:
-                self.mapper.adjust(poses)
+        outcome = self._adjuster.result() if self._schedule.takes_effect(self._keyframes) else None
+        if outcome is None:
+            return ()
+        if outcome.poses is not None:
+            self.mapper.adjust(outcome.poses)
+        return (f"adjustment of the map: {outcome.text}",)
 
     def _begin_adjustment(self, measurements: FlightMeasurements, correction: Correction) -> None:
         """Begin an adjustment if it is time for one and the newest keyframe is in the map."""

@@ -9,7 +9,7 @@ no pose in the map frame until a place of the map is recognized.
 """
 
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -110,7 +110,7 @@ class VisualSlam:
         self._frames = self._sent = self._loops = self._track = 0
         self._T_map_odom: Array | None = np.eye(4)
         self._correction: Correction | None = None
-        self._final: tuple[int, Mapper, OptimizedGraph | None] | None = None  # after a number of frames
+        self._final: _Final | None = None
         if known is not None:
             self._sent, self._track, self._T_map_odom = len(known.keyframes), 1, None
 
@@ -198,10 +198,11 @@ class VisualSlam:
         odometry is not corrected. A loaded map has no measurements of its former flights: there, the pose graph gives
         the final poses.
         """
-        mapper, solution = self._final_solution()
+        final = self._final_solution()
+        mapper, solution = final.mapper, final.solution
         if solution is None:
             return None
-        found = mapper.map_of(solution)
+        found = replace(mapper.map_of(solution), adjustment=final.adjustment)
         # The correction is that of the causal path, which is then at the final poses where the keyframes are.
         return (
             replace(found, Ts_odom_imu=self._measurements.causal_poses(mapper.keyframes))
@@ -222,7 +223,8 @@ class VisualSlam:
         """
         if self._localize_only:
             raise ConfigError("save_map() with localize_only; expected one of them, since the map stays as it is")
-        mapper, solution = self._final_solution()
+        final = self._final_solution()
+        mapper, solution = final.mapper, final.solution
         if self._known is not None and not mapper.is_joined:
             raise ConfigError("the flight is not joined with the loaded map; expected a recognized place to save both")
         count = 0 if solution is None else len(solution.graph.poses)
@@ -240,7 +242,8 @@ class VisualSlam:
         Raises:
             ConfigError: No keyframe has joined the map.
         """
-        mapper, solution = self._final_solution()
+        final = self._final_solution()
+        mapper, solution = final.mapper, final.solution
         if solution is None:
             raise ConfigError("map without keyframes; expected one or more to write its graph")
         graph, c = solution.without_rejected, self._config
@@ -269,7 +272,8 @@ class VisualSlam:
         Raises:
             ConfigError: No keyframe of the flight has joined the map.
         """
-        mapper, solution = self._final_solution()
+        final = self._final_solution()
+        mapper, solution = final.mapper, final.solution
         keyframes = self._measurements.of_flight(mapper.keyframes)
         if solution is None or not keyframes:
             raise ConfigError("map without keyframes of this flight; expected one or more to write its landmarks")
@@ -306,29 +310,41 @@ class VisualSlam:
         write_ply(Path(path), found.reconstruction if recording is None else with_images(found, recording))
 
     @single_threaded()
-    def _final_solution(self) -> tuple[Mapper, OptimizedGraph | None]:
-        """Return the map, and its pose graph with the final poses; see `final_map`."""
-        if self._final is None or self._final[0] != self._frames:
-            mapper = self.mapper
+    def _final_solution(self) -> "_Final":
+        """Return the final map; see `final_map`."""
+        if self._final is None or self._final.frames != self._frames:
+            mapper, adjustment = self.mapper, ""
             solution = mapper.final_solution()
             if solution is not None and self._known is None:
-                solution = self._adjusted(mapper, solution)
-            self._final = self._frames, mapper, solution
-        return self._final[1:]
+                solution, adjustment = self._adjusted(mapper, solution)
+            self._final = _Final(self._frames, mapper, solution, adjustment)
+        return self._final
 
-    def _adjusted(self, mapper: Mapper, solution: OptimizedGraph) -> OptimizedGraph:
-        """Return the pose graph with the poses by bundle adjustment, if it has loops."""
+    def _adjusted(self, mapper: Mapper, solution: OptimizedGraph) -> tuple[OptimizedGraph, str]:
+        """Return the pose graph with the poses by bundle adjustment, if it has loops, and the outcome as text."""
         graph = solution.without_rejected
         if not graph.loops or not self._measurements.covers(mapper.keyframes):
-            return solution
-        poses = solved(self._measurements.inputs(mapper.keyframes, graph), self._config.adjustment)
-        if poses is None:  # those of the pose graph remain
-            return solution
-        return replace(solution, graph=replace(solution.graph, poses=poses))
+            return solution, ""
+        outcome = solved(self._measurements.inputs(mapper.keyframes, graph), self._config.adjustment)
+        if outcome.poses is None:  # those of the pose graph remain
+            return solution, outcome.text
+        return replace(solution, graph=replace(solution.graph, poses=outcome.poses)), outcome.text
 
     def close(self) -> None:
         """End the worker process, which otherwise ends with the last reference to this object."""
         self._map.close()
+
+
+@dataclass(frozen=True, eq=False)
+class _Final:
+    """The final map after a number of frames."""
+
+    frames: int
+    mapper: Mapper
+    solution: OptimizedGraph | None
+    """Its pose graph with the final poses; None if no keyframe has joined it."""
+    adjustment: str
+    """The outcome of the bundle adjustment; empty without one."""
 
 
 class _KeyframeMessages:
@@ -444,4 +460,8 @@ def _summary(mapper: Mapper) -> MapSummary:
 def _events(correction: Correction) -> list[str]:
     """Return the events of a correction, as texts for users."""
     joined = ["track joined with the map"] if correction.is_joined else []
-    return [*joined, *(f"loop closed with keyframe {k}" for k in sorted({loop.first for loop in correction.loops}))]
+    return [
+        *joined,
+        *correction.events,
+        *(f"loop closed with keyframe {k}" for k in sorted({loop.first for loop in correction.loops})),
+    ]

@@ -68,6 +68,9 @@ def _tiles(of_map: MapResults) -> Iterator[Tile]:
     yield Tile("Rejected loops", str(rejected), "", "which contradict the others")
     yield Tile("Keyframes", str(len(of_map.map.t_ns)), "", "of the map")
     yield Tile("Points", str(len(of_map.map.points)), "", "of the map")
+    if of_map.map.adjustment:
+        outcome, _, reason = of_map.map.adjustment.partition(": ")
+        yield Tile("Bundle adjustment", outcome, "", reason)
 
 
 def _plots(results: RunResults, of_map: MapResults) -> Iterator[Markup]:

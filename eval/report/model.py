@@ -12,8 +12,10 @@ they are not known:
     policy         environment, success, duration_s, distance_m, end; null unless a policy flies
     estimator      poses, first_pose_s (after the first frame), mean_tracks, keyframes, health: {state: frames},
                    innovations: {median_px, p95_px, median_nis, p95_nis}, warnings: [{t_s, text}]
-    map            keyframes, points, loops, rejected_loops; online, final: the fields of `Scores` of the poses in the
-                   map frame as corrected at their frames, and by the map after the flight; null without a map
+    map            keyframes, points, loops, rejected_loops; adjustment: what determined the scale of the bundle
+                   adjustment, or why its result is not used, null without one; online, final: the fields of `Scores`
+                   of the poses in the map frame as corrected at their frames, and by the map after the flight; null
+                   without a map
     defects        of the recording: {kind: {count, first}}; empty without defects
     configuration, versions, machine            as in `RunInfo`
 """

@@ -207,7 +207,9 @@ def adjustment_inputs(odometry_flight: "OdometryFlight", graph_solution: Optimiz
                 known.state.velocity_m_s,
                 known.state.gyro_bias_rad_s,
                 known.state.accel_bias_m_s2,
+                1e-6 * np.eye(6),
                 observation_table(number, known.observations),
+                estimate,
             )
         )
     params = PreintegrationParams.of(flight.rig.imu, PreintegrationConfig())

@@ -11,7 +11,7 @@ import pytest
 
 from dronevio.estimator.slam import adjuster
 from dronevio.estimator.slam.adjuster import LocalAdjuster, ProcessAdjuster, solved
-from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig, AdjustmentInputs
+from dronevio.estimator.slam.bundle_adjustment import AdjustedMap, AdjustmentConfig, AdjustmentInputs, Scale
 
 CONFIG = AdjustmentConfig(iterations=3)
 STARTED = """
@@ -32,18 +32,56 @@ def test_results_do_not_depend_on_the_process(adjustment_inputs: AdjustmentInput
     for each in (local, other):
         each.start(some)
     expected, found = local.result(), other.result()
-    assert expected is not None and found is not None
-    assert all(found[number].tobytes() == T.tobytes() for number, T in expected.items())
+    assert expected is not None and expected.poses is not None and found is not None and found.poses is not None
+    assert all(found.poses[number].tobytes() == T.tobytes() for number, T in expected.poses.items())
+    assert found.text == expected.text
     assert local.cpu_s == 0.0 < other.cpu_s
     assert local.result() is None and other.result() is None  # a result is returned once
 
 
 def test_singular_system_has_no_result(monkeypatch: pytest.MonkeyPatch, adjustment_inputs: AdjustmentInputs) -> None:
-    def fail(inputs: AdjustmentInputs, config: AdjustmentConfig) -> None:
+    def fail(inputs: AdjustmentInputs, config: AdjustmentConfig, scale: Scale) -> None:
         raise RuntimeError("Indeterminate linear system")
 
     monkeypatch.setattr(adjuster, "adjust", fail)
-    assert solved(adjustment_inputs, CONFIG) is None
+    found = solved(adjustment_inputs, CONFIG)
+    assert found.poses is None and found.text == "not used: the linear system is singular"
+
+
+@pytest.mark.parametrize(
+    ("sizes", "noise", "tried", "text"),
+    [
+        ({Scale.IMU: 1.0}, 1.0, [Scale.IMU], "scale by the IMU"),
+        ({Scale.IMU: 0.9, Scale.ODOMETRY: 1.0}, 1.0, [Scale.IMU, Scale.ODOMETRY], "scale by the odometry"),
+        ({Scale.ODOMETRY: 1.0}, 5.0, [Scale.ODOMETRY], "scale by the odometry"),
+        ({Scale.IMU: 0.9, Scale.ODOMETRY: 0.9}, 1.0, [Scale.IMU, Scale.ODOMETRY], "not used: scale differs by -10 %"),
+    ],
+    ids=["agrees", "contradicts", "noisy", "both contradict"],
+)
+def test_the_scale_has_to_agree_with_the_odometry(
+    monkeypatch: pytest.MonkeyPatch,
+    adjustment_inputs: AdjustmentInputs,
+    sizes: dict[Scale, float],
+    noise: float,
+    tried: list[Scale],
+    text: str,
+) -> None:
+    """The adjusted map is the odometry, times a factor."""
+    params, sheet, found = adjustment_inputs.params, adjustment_inputs.imu_model.accel_noise_density, []
+    inputs = replace(adjustment_inputs, params=params.with_noise(params.gyro_variance**0.5, noise * sheet))
+
+    def scaled(inputs: AdjustmentInputs, config: AdjustmentConfig, scale: Scale) -> AdjustedMap:
+        found.append(scale)
+        poses = {k.number: k.estimate.T_odom_imu.copy() for k in inputs.keyframes}
+        for T in poses.values():
+            T[:3, 3] *= sizes[scale]
+        newest = inputs.keyframes[-1]
+        return AdjustedMap(poses, newest.gyro_bias_rad_s, newest.accel_bias_m_s2, scale)
+
+    monkeypatch.setattr(adjuster, "adjust", scaled)
+    outcome = solved(inputs, CONFIG)
+    assert found == tried and outcome.text.startswith(text)
+    assert (outcome.poses is None) == text.startswith("not used")
 
 
 @pytest.mark.parametrize("end", [lambda p: p.kill(), lambda p: p.terminate()], ids=["killed", "terminated"])

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.backend.observations import ObservationTable
 from dronevio.estimator.backend.triangulation import triangulate
-from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig, AdjustmentInputs, adjust
+from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig, AdjustmentInputs, Scale, _imu_intervals, adjust
 from dronevio.estimator.slam.odometry_factors import RelativePose
 from dronevio.estimator.slam.pose_graph import OptimizedGraph
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
@@ -32,7 +32,7 @@ def rmse_m(odometry_flight: "OdometryFlight", adjustment_inputs: AdjustmentInput
 def test_adjustment_is_better_than_the_odometry(
     odometry_flight: "OdometryFlight", adjustment_inputs: AdjustmentInputs, graph_solution: OptimizedGraph
 ) -> None:
-    adjusted = adjust(adjustment_inputs, AdjustmentConfig())
+    adjusted = adjust(adjustment_inputs, AdjustmentConfig()).poses
     odometry = {number: estimate.T_odom_imu for number, estimate in enumerate(odometry_flight.marginalized)}
     assert set(adjusted) == {keyframe.number for keyframe in adjustment_inputs.keyframes}
     error_m, of_odometry_m, of_graph_m = (
@@ -53,8 +53,8 @@ def test_adjustment_converges_from_worse_poses(
         )
         for each in later
     ]
-    reference = adjust(adjustment_inputs, AdjustmentConfig())
-    found = adjust(replace(adjustment_inputs, keyframes=[first, *moved]), AdjustmentConfig(iterations=40))
+    reference = adjust(adjustment_inputs, AdjustmentConfig()).poses
+    found = adjust(replace(adjustment_inputs, keyframes=[first, *moved]), AdjustmentConfig(iterations=40)).poses
     difference_m = [np.linalg.norm((found[k] - reference[k])[:3, 3]) for k in reference]
     assert np.sqrt(np.mean(np.square(difference_m))) < 2e-3
 
@@ -64,7 +64,7 @@ def test_a_certain_loop_is_fulfilled(adjustment_inputs: AdjustmentInputs) -> Non
     between = inverse_pose(first.T_map_imu) @ second.T_map_imu
     moved = between @ pose_matrix(np.eye(3), np.array([0.02, 0.0, 0.0]))
     loop = RelativePose(first.number, second.number, moved, 1e-10 * np.eye(6))
-    adjusted = adjust(replace(adjustment_inputs, loops=[loop]), AdjustmentConfig())
+    adjusted = adjust(replace(adjustment_inputs, loops=[loop]), AdjustmentConfig()).poses
     found = inverse_pose(adjusted[first.number]) @ adjusted[second.number]
     np.testing.assert_allclose(found, moved, atol=2e-3)
 
@@ -82,14 +82,14 @@ def test_imu_between_two_tracks_is_not_used(adjustment_inputs: AdjustmentInputs)
         replace(k, observations=replace(k.observations, landmark=k.observations.landmark + 10**6 * k.track))
         for k in keyframes
     ]
-    adjusted = adjust(replace(adjustment_inputs, keyframes=renamed, loops=[loop]), AdjustmentConfig())
+    adjusted = adjust(replace(adjustment_inputs, keyframes=renamed, loops=[loop]), AdjustmentConfig()).poses
     for keyframe in keyframes:
         np.testing.assert_allclose(adjusted[keyframe.number][:3, 3], keyframe.T_map_imu[:3, 3], atol=0.1)
 
 
 def test_same_measurements_give_the_same_bytes(adjustment_inputs: AdjustmentInputs) -> None:
     some = replace(adjustment_inputs, keyframes=adjustment_inputs.keyframes[:40], loops=[])
-    first, second = (adjust(some, AdjustmentConfig(iterations=3)) for _ in range(2))
+    first, second = (adjust(some, AdjustmentConfig(iterations=3)).poses for _ in range(2))
     assert all(first[k].tobytes() == second[k].tobytes() for k in first)
 
 
@@ -178,7 +178,9 @@ def test_landmarks_that_are_seen_again_take_the_place_of_a_loop(
     """Late keyframes are where they see the early landmarks from, whatever the poses of the loops are."""
     right, moved = (seen_again(odometry_flight, adjustment_inputs, moved_m) for moved_m in (0.0, 0.02))
     assert min(len(loop.observations) for loop in right) > 10
-    here, there = (adjust(replace(adjustment_inputs, loops=loops), AdjustmentConfig()) for loops in (right, moved))
+    here, there = (
+        adjust(replace(adjustment_inputs, loops=loops), AdjustmentConfig()).poses for loops in (right, moved)
+    )
     assert rmse_m(odometry_flight, adjustment_inputs, here) < 0.004
     for loop in right:
         np.testing.assert_allclose((there[loop.second] - here[loop.second])[:3, 3], [0.0, 0.0, 0.02], atol=0.004)
@@ -190,7 +192,9 @@ def test_an_observation_by_several_loops_counts_once(
     odometry_flight: "OdometryFlight", adjustment_inputs: AdjustmentInputs
 ) -> None:
     loops = seen_again(odometry_flight, adjustment_inputs)
-    once, thrice = (adjust(replace(adjustment_inputs, loops=each), AdjustmentConfig()) for each in (loops, 3 * loops))
+    once, thrice = (
+        adjust(replace(adjustment_inputs, loops=each), AdjustmentConfig()).poses for each in (loops, 3 * loops)
+    )
     assert all(once[k].tobytes() == thrice[k].tobytes() for k in once)
 
 
@@ -201,7 +205,7 @@ def test_common_error_of_stereo_matches_is_estimated(
     some = replace(adjustment_inputs, keyframes=adjustment_inputs.keyframes[:60], loops=())
     exact, shifted = (with_second_camera(odometry_flight, some, shift) for shift in (0.0, 2e-4))
     exact_m, estimated_m, fixed_m = (
-        rmse_m(odometry_flight, some, adjust(inputs, AdjustmentConfig(rig_rotation_sigma_deg=sigma_deg)))
+        rmse_m(odometry_flight, some, adjust(inputs, AdjustmentConfig(rig_rotation_sigma_deg=sigma_deg)).poses)
         for inputs, sigma_deg in ((exact, 0.0), (shifted, 0.1), (shifted, 0.0))
     )
     assert exact_m < estimated_m < 0.3 * fixed_m, (exact_m, estimated_m, fixed_m)
@@ -211,6 +215,51 @@ def test_landmarks_with_few_views_leave_the_imu_alone(
     odometry_flight: "OdometryFlight", adjustment_inputs: AdjustmentInputs
 ) -> None:
     some = replace(adjustment_inputs, keyframes=adjustment_inputs.keyframes[:5], loops=())
-    poses = adjust(some, AdjustmentConfig(min_views=100))
+    poses = adjust(some, AdjustmentConfig(min_views=100)).poses
     assert set(poses) == {keyframe.number for keyframe in some.keyframes}
     assert rmse_m(odometry_flight, some, poses) < 0.05
+
+
+def shaken(odometry_flight: "OdometryFlight", adjustment_inputs: AdjustmentInputs) -> AdjustmentInputs:
+    """Return measurements whose camera shakes by 4 mm from keyframe to keyframe, which the IMU does not feel.
+
+    The noise of the IMU is what these measurements suggest, ten times that of the data sheet.
+    """
+    rng, landmarks = np.random.default_rng(5), exact_landmarks(odometry_flight, adjustment_inputs, 10**6)
+    known, points = landmarks
+    true, keyframes = true_camera_poses(odometry_flight, adjustment_inputs, 0), []
+    for keyframe in adjustment_inputs.keyframes:
+        table, T = keyframe.observations, true[keyframe.number]
+        table = table[np.isin(table.landmark, known) & (table.camera == 0)]
+        in_cam = (points[np.searchsorted(known, table.landmark)] - T[:3, 3] - 0.004 * rng.normal(size=3)) @ T[:3, :3]
+        keyframes.append(replace(keyframe, observations=replace(table, xy=in_cam[:, :2] / in_cam[:, 2:])))
+    params = adjustment_inputs.params
+    sheet = odometry_flight.flight.rig.imu
+    noisy = params.with_noise(params.gyro_variance**0.5, 10.0 * sheet.accel_noise_density)
+    return replace(adjustment_inputs, keyframes=keyframes, loops=(), params=noisy)
+
+
+def test_the_odometry_keeps_the_scale_of_a_shaking_camera(
+    odometry_flight: "OdometryFlight", adjustment_inputs: AdjustmentInputs
+) -> None:
+    """The accelerations by the images are noisy, so that their regression on those by the IMU is attenuated."""
+    measured = shaken(odometry_flight, adjustment_inputs)
+    true = {k.number: odometry_flight.true_poses[k.t_ns] for k in measured.keyframes}
+
+    def size(poses: Mapping[int, Array]) -> float:
+        p = np.array([poses[number][:3, 3] for number in true])
+        return float(np.linalg.norm(p - p.mean(axis=0)))
+
+    by_imu, by_odometry = (size(adjust(measured, AdjustmentConfig(), scale).poses) / size(true) for scale in Scale)
+    assert by_imu < 0.97 and abs(by_odometry - 1.0) < 0.01, (by_imu, by_odometry)
+
+
+def test_imu_intervals_end_with_the_track(adjustment_inputs: AdjustmentInputs) -> None:
+    """Keyframes 0.2 s apart: intervals of 1 s, the last one of a track shorter, and none between two tracks."""
+    known = adjustment_inputs.keyframes[0]
+    keyframes = [replace(known, number=i, t_ns=200_000_000 * i, track=int(i >= 8)) for i in range(15)]
+    found = [(first.number, second.number) for first, second in _imu_intervals(keyframes, 1.0)]
+    assert found == [(0, 5), (5, 7), (8, 13), (13, 14)]
+    every = [(first.number, second.number) for first, second in _imu_intervals(keyframes, 0.0)]
+    assert every == [(i, i + 1) for i in range(14) if i != 7]
+    assert list(_imu_intervals(keyframes[:1], 0.0)) == []

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.backend.observations import ObservationTable
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig, AdjustmentInputs, AdjustmentKeyframe, adjust
@@ -19,6 +20,7 @@ from dronevio.estimator.slam.pose_graph import ADJUSTED_VARIANCE, OptimizedGraph
 from dronevio.estimator.types import Calibration
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix
+from dronevio.models.state import NavState
 from tests.estimator.slam.conftest import RIG, pose
 
 Array = npt.NDArray[np.float64]
@@ -43,7 +45,7 @@ def test_written_poses_are_the_optimum_of_the_file(
     adjustment_inputs: AdjustmentInputs, graph_solution: OptimizedGraph, tmp_path: Path
 ) -> None:
     graph = graph_solution.without_rejected
-    adjusted = adjust(adjustment_inputs, AdjustmentConfig())
+    adjusted = adjust(adjustment_inputs, AdjustmentConfig()).poses
     graph = replace(graph, poses={**graph.poses, **adjusted})
     of_stages = tmp_path / "stages.g2o"  # poses of bundle adjustment, odometry from before it
     write_g2o(of_stages, graph)
@@ -114,7 +116,14 @@ def looped() -> tuple[PoseGraph, AdjustmentInputs, Array]:
         return ObservationTable(none + np.arange(60), none + number, none, xy, np.full(len(points), sigma), none)
 
     keyframes = [
-        AdjustmentKeyframe(n, n * 10**9, poses[n], np.zeros(3), np.zeros(3), np.zeros(3), observed(n, 1.0))
+        AdjustmentKeyframe(
+            n,
+            n * 10**9,
+            poses[n],
+            *(np.zeros(3), np.zeros(3), np.zeros(3), np.eye(6)),
+            observed(n, 1.0),
+            KeyframeEstimate.of_state(NavState(n * 10**9, poses[n], np.zeros(3), np.zeros(3), np.zeros(3))),
+        )
         for n in NUMBERS
     ]
     keyframes[-1] = replace(keyframes[-1], observations=keyframes[-1].observations[:0])

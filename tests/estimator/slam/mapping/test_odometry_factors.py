@@ -38,7 +38,9 @@ def estimate(index: int, T_odom_imu: Array, drift: Drift, tilt: float = 1e-6) ->
     """Return a keyframe every 0.2 s, whose relative covariance within the window is small."""
     covariance = np.diag([tilt, tilt, drift.yaw, *([drift.position] * 3)])
     t_ns = 200_000_000 * index
-    return KeyframeEstimate(t_ns, T_odom_imu, covariance, t_ns + 200_000_000, 1e-10 * np.eye(6), *NO_LANDMARKS)
+    return KeyframeEstimate(
+        t_ns, T_odom_imu, covariance, t_ns + 200_000_000, np.eye(4), 1e-10 * np.eye(6), *NO_LANDMARKS
+    )
 
 
 def test_position_covariance_is_turned_into_the_second_frame() -> None:

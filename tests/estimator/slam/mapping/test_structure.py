@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.backend.observations import ObservationTable
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig, AdjustmentInputs, AdjustmentKeyframe
@@ -14,6 +15,7 @@ from dronevio.estimator.types import Calibration
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import inverse_pose
+from dronevio.models.state import NavState
 from tests.estimator.slam.conftest import pose
 
 Array = npt.NDArray[np.float64]
@@ -43,7 +45,16 @@ def inputs(calibration: Calibration | None = None) -> AdjustmentInputs:
     poses = [pose([0.0, 0.3 * i, 0.1 * i], 0.02 * i) for i in range(4)]
     none = np.zeros(3), np.zeros(3), np.zeros(3)
     keyframes = [
-        AdjustmentKeyframe(n, n, T, *none, observed(n, T, calibration)) for n, T in zip(NUMBERS, poses, strict=True)
+        AdjustmentKeyframe(
+            n,
+            n,
+            T,
+            *none,
+            np.eye(6),
+            observed(n, T, calibration),
+            KeyframeEstimate.of_state(NavState(n, T, *none)),
+        )
+        for n, T in zip(NUMBERS, poses, strict=True)
     ]
     params = PreintegrationParams.of(RIG.imu, PreintegrationConfig())
     return AdjustmentInputs(keyframes, (), ImuSamples.empty(), RIG.imu, params, calibration, NUMBERS[0], np.eye(6))

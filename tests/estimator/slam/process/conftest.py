@@ -46,6 +46,7 @@ def keyframe(rig: Rig, place: int, lap: int) -> MarginalizedKeyframe:
         T,
         1e-5 * (1.0 + number) * np.eye(6),
         t_ns + INTERVAL_NS,
+        np.eye(4),
         1e-6 * np.eye(6),
         ids,
         in_cam @ T_odom_cam[:3, :3].T + T_odom_cam[:3, 3],

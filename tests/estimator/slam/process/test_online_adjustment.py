@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
+from dronevio.estimator.slam.adjuster import AdjustmentOutcome
 from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
@@ -50,10 +51,10 @@ class TurningAdjuster:
         """Keep the measurements."""
         self.started.append(inputs)
 
-    def result(self) -> dict[int, Array] | None:
+    def result(self) -> AdjustmentOutcome | None:
         """Return the keyframes of the last measurements, rotated."""
         T = pose_matrix(TURN, np.zeros(3))
-        return {each.number: T @ each.T_map_imu for each in self.started[-1].keyframes}
+        return AdjustmentOutcome({each.number: T @ each.T_map_imu for each in self.started[-1].keyframes}, "rotated")
 
 
 def measured(message: MarginalizedKeyframe) -> MarginalizedKeyframe:

@@ -12,6 +12,7 @@ from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.keyframe_observer import KeyframeObserver, OdometryKeyframe
 from dronevio.estimator.slam import visual_slam
+from dronevio.estimator.slam.adjuster import AdjustmentOutcome
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.flight_measurements import FlightMeasurements
 from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
@@ -157,12 +158,14 @@ def test_covariance_before_the_first_correction(monkeypatch: pytest.MonkeyPatch)
 
 def test_final_path_has_the_keyframes_at_their_final_poses(monkeypatch: pytest.MonkeyPatch) -> None:
     """The causal estimates differ from those when the keyframes leave the window, which the map has."""
-    monkeypatch.setattr(visual_slam, "solved", lambda inputs, config: None)  # the pose graph gives the final poses
+    monkeypatch.setattr(
+        visual_slam, "solved", lambda inputs, config: AdjustmentOutcome(None, "not used")
+    )  # the pose graph gives the final poses
     causal_error = pose_matrix(np.eye(3), np.array([0.04, 0.0, -0.02]))
     rig = one_camera()
     slam, estimates = run(monkeypatch, [keyframe(rig, p, lap) for lap in range(2) for p in range(PLACES)], causal_error)
     final = slam.final_map()
-    assert final is not None and len(final.closed) >= 2
+    assert final is not None and len(final.closed) >= 2 and final.adjustment == "not used"
     trajectory = Trajectory.from_states(estimate.state for estimate in estimates if estimate.state is not None)
     found = final.correction.applied(trajectory)
     at_keyframes = np.isin(found.t_ns, final.t_ns)
@@ -230,7 +233,7 @@ def test_images_of_keyframes_are_found_by_their_stamps() -> None:
     messages.marginalized(known.estimate)
     (message,) = messages.take()
     assert isinstance(message, MarginalizedKeyframe) and message.measured is not None
-    measurements.add(t_ns, message.measured)
+    measurements.add(message.estimate, message.measured)
     of_map = MapKeyframe(0, t_ns, known.estimate.T_odom_imu, NO_KEYFRAME_FEATURES, *landmarks)
     assert measurements.stamps_ns([of_map]).tolist() == [t_ns - offset_ns]
 
