@@ -73,7 +73,7 @@ class Problem:
     name: str
     """What is simulated."""
     inputs: AdjustmentInputs
-    """The measurements."""
+    """Measurements of the map."""
     truth: Trajectory
     """The true path."""
 
