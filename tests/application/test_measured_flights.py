@@ -11,6 +11,7 @@ import pytest
 
 from dronevio.benchmark_jobs import Workbench, measured_recordings, versions
 from dronevio.cli import benchmark, main
+from dronevio.cli.terminal import parse
 from dronevio.measured_flights import MEASURED, measured_flights, measured_name
 from dronevio.models.errors import ConfigError
 from dronevio.models.recordings.euroc import EurocRecording, read_imu
@@ -38,7 +39,7 @@ def measured_data(flown: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def planned(*options: str) -> Sequence[Any]:
     """Return the recordings of a command."""
     arguments = options if "--seeds" in options else (*options, "--seeds", "1")
-    plan = benchmark._planned(benchmark.parse(benchmark.BenchmarkCommand, arguments, "benchmark"))
+    plan = benchmark._planned(parse(benchmark.BenchmarkCommand, arguments, "benchmark"))
     return plan.recordings
 
 
