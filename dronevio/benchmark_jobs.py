@@ -14,6 +14,7 @@ from dronevio.eval.benchmark.cache import code_hash, content_hash, recording_has
 from dronevio.eval.benchmark.jobs import RecordingSpec
 from dronevio.eval.benchmark.rows import VARIANT_SIGN
 from dronevio.eval.provenance import versions_here
+from dronevio.measured_flights import MeasuredFlight
 from dronevio.models.defects import defects_text
 from dronevio.models.errors import ConfigError, EvaluationError, InputError
 from dronevio.models.imu import Times
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from dronevio.sim.scenario import Scenario
 
 _ROOT = Path(dronevio.__file__).parent
-_RENDERING_CODE = tuple(_ROOT / name for name in ("sim", "models", "recorder.py"))
+_RENDERING_CODE = tuple(_ROOT / name for name in ("sim", "models", "recorder.py", "measured_flights.py"))
 _ESTIMATION_CODE = tuple(
     _ROOT / name
     for name in (
@@ -58,7 +59,7 @@ def versions() -> str:
 
 @dataclass(frozen=True)
 class Workbench:
-    """Simulates flights and runs estimators on them; implements `BenchmarkPipeline`."""
+    """Makes recordings and runs estimators on them; implements `BenchmarkPipeline`."""
 
     estimators: tuple[NamedEstimator, ...]
     """The estimators of the benchmark."""
@@ -72,11 +73,14 @@ class Workbench:
         return content_hash(self._named(estimator).settings())
 
     def record(self, spec: RecordingSpec, folder: Path, images: Path | None = None) -> None:
-        """Simulate a scenario and write its recording, with the images of another recording if there is one."""
+        """Write the recording of a flight, with the images of another recording if there is one."""
         from dronevio.recorder import record_flight
         from dronevio.sim.scenario import Scenario
 
         self._check_here()
+        if isinstance(spec.source, MeasuredFlight):
+            spec.source.record(folder)
+            return
         assert isinstance(spec.source, Scenario)
         record_flight(spec.source, folder, workers=1, images_of=images)
 
@@ -186,6 +190,31 @@ def scenario_flights(
     return tuple(specs)
 
 
+def measured_recordings(
+    flights: Iterable[MeasuredFlight], seeds: Sequence[int], image_sensor: str | None = None
+) -> tuple[RecordingSpec, ...]:
+    """Return the recordings of measured flights, every seed of each, in the order of `scenario_flights`.
+
+    Args:
+        flights: The flights.
+        seeds: Seeds of their worlds and of the image noise.
+        image_sensor: Name of the image sensor that replaces the standard one.
+
+    Raises:
+        ConfigError: There is no such image sensor.
+        InputError: The data of a flight is missing.
+    """
+    from dronevio.sim.cameras.imaging import image_sensor_named
+
+    imaging, flights, specs = image_sensor_named(image_sensor or "standard"), tuple(flights), []
+    for flown in (replace(flight, seed=seed, imaging=imaging) for seed in seeds for flight in flights):
+        settings = to_jsonable(replace(flown, name="", folder=Path()))
+        files = [recording_hash(file) for file in flown.files]
+        digest = _rendering_hash({"measured": settings, "files": files})
+        specs.append(RecordingSpec(flown.name, flown.world, flown.seed, digest, flown))
+    return tuple(specs)
+
+
 def recorded_flights(paths: Iterable[Path]) -> tuple[RecordingSpec, ...]:
     """Return the flights of existing recordings, with the names of their files or folders.
 
@@ -273,10 +302,14 @@ def _flight(flown: "Scenario") -> RecordingSpec:
 
 def _recording_hash(flown: "Scenario") -> str:
     """Return the hash of everything that determines the recording of a scenario; its name does not."""
+    return _rendering_hash({"scenario": to_jsonable(replace(flown, name="", description=""))})
+
+
+def _rendering_hash(settings: dict[str, object]) -> str:
+    """Return the hash of the settings of a recording, and of the code and packages that make it."""
     installed = versions_here()
-    settings = to_jsonable(replace(flown, name="", description=""))
     packages = {name: installed.get(name) for name in _RENDERING_PACKAGES}
-    return content_hash({"scenario": settings, "packages": packages, "code": code_hash(*_RENDERING_CODE)})
+    return content_hash({**settings, "packages": packages, "code": code_hash(*_RENDERING_CODE)})
 
 
 def _images_hash(flown: "Scenario") -> str:

@@ -63,7 +63,7 @@ class ChangedRecording:
     image_of: Callable[[int], CameraFrame]
     """Function that returns a frame by its index."""
     ground_truth: Trajectory | None = field(default=None)
-    """Always None, because estimators do not need it."""
+    """Ground truth for scores, which estimators do not need; None without one."""
 
     def frame(self, index: int) -> CameraFrame:
         """Return a frame at its time stamp."""

@@ -136,7 +136,7 @@ _HARD_WORLDS = (
 _SINGLE_LAPS = ("warehouse", "hall", "forest", "gates")
 """Worlds of which the tours fly one lap and revisit no place."""
 
-_LOOPS = tuple(
+_LAPS = tuple(
     Scenario(
         f"{name}-laps-v0",
         f"{laps} laps of {tour}, {level}",
@@ -152,7 +152,17 @@ _LOOPS = tuple(
         ("forest", "forest", "the tour of a forest", 2, "tour", "medium"),
     )
 )
-"""Flights that come back: 40 to 80 % of their frames revisit a place (`dronevio.eval.metrics.revisits`)."""
+_LOOPS = (
+    *_LAPS,
+    replace(
+        _LAPS[0],
+        name="room-laps-noisy-imu-v0",
+        description="room-laps-v0 with three times the calibrated IMU noise",
+        faults=Faults(imu_noise_factor=3.0),
+    ),
+)
+"""Flights that come back: 40 to 80 % of their frames revisit a place (`dronevio.eval.metrics.revisits`). The IMU of the
+last one is not as good as its calibration states, as real ones are."""
 
 _DECEPTIVE_LOOPS = tuple(
     Scenario(

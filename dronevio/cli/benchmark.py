@@ -58,7 +58,8 @@ class BenchmarkCommand(Settings):
     suite: str | None = None
     """Name of a suite of scenarios: a world such as room, or a difficulty such as easy."""
     scenarios: tuple[str, ...] = ()
-    """Names of scenarios; `dronevio scenarios` lists them."""
+    """Names of scenarios, which `dronevio scenarios` lists, and of the measured flights of the suite loops, such as
+    measured-MH_04, which exist where DRONEVIO_DATA names a folder with their data."""
     rig: str | None = None
     """Sensors that replace those of the scenarios: a name such as euroc-stereo or fisheye, a Kalibr camchain.yaml, or a
     recording with its calibration."""
@@ -187,10 +188,20 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
     Raises:
         ConfigError: There is no flight, or an option has an invalid value.
     """
-    from dronevio.benchmark_jobs import Workbench, excerpts, recorded_flights, scenario_flights, versions
+    from dronevio.benchmark_jobs import (
+        Workbench,
+        excerpts,
+        measured_recordings,
+        recorded_flights,
+        scenario_flights,
+        versions,
+    )
+    from dronevio.benchmark_variants import AS_IS
     from dronevio.eval.benchmark.cache_limit import default_folder
     from dronevio.eval.benchmark.runner import BenchmarkPlan
     from dronevio.eval.provenance import processor_here
+    from dronevio.measured_flights import measured_flights, measured_name
+    from dronevio.recorder import rig_of
     from dronevio.registry import EXTERNAL, estimator_named
     from dronevio.sim.scenarios import SUITES
 
@@ -209,7 +220,13 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
         raise ConfigError(f"--variants {command.variants[0]} without scenarios; a recording has no variants")
     if command.image_sensor is not None and not names:
         raise ConfigError(f"--image-sensor {command.image_sensor} without scenarios; a recording has its own images")
-    planned = scenario_flights(names, seeds, command.rig, command.variants, command.image_sensor)
+    simulated = [name for name in names if measured_name(name) is None]
+    planned = scenario_flights(simulated, seeds, command.rig, command.variants, command.image_sensor)
+    if AS_IS in (command.variants or (AS_IS,)):  # what was measured has no variants
+        measured, left_out = measured_flights(names, None if command.rig is None else rig_of(command.rig))
+        planned += measured_recordings(measured, seeds, command.image_sensor)
+        if left_out:
+            print_warning(left_out)
     flights = excerpts(planned + recorded_flights(command.recordings), command.starts_s, command.laps)
     programs = [each.label for each in estimators if EXTERNAL.match(each.name)]
     if programs and (command.starts_s or command.laps > 1):
