@@ -53,7 +53,8 @@ def measured_in_map(
 
     def at_poses(relative: RelativePose) -> RelativePose:
         T = inverse_pose(graph.poses[relative.first]) @ graph.poses[relative.second]
-        stated = relative.covariance / (ADJUSTED_VARIANCE if relative.second <= adjusted_until else 1.0)
+        is_smaller = inputs.keyframes[0].number <= relative.second <= adjusted_until
+        stated = relative.covariance / (ADJUSTED_VARIANCE if is_smaller else 1.0)
         return replace(relative, T_first_second=T, covariance=stated)
 
     rig = inputs.calibration.Ts_imu_cam, inputs.calibration.focal_px

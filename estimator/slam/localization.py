@@ -69,7 +69,7 @@ class LandmarkPatches:
     """Small images around the landmarks of a keyframe."""
 
     landmark: Integers
-    """(L,) Identities of the landmarks; -1 in a loaded map, whose former measurements are not known."""
+    """(L,) Identities of the landmarks; -1 in a loaded map where they are not known."""
     points_imu: Array
     """(L, 3) Positions of the landmarks in the IMU frame of the keyframe [m]."""
     pixels: Array

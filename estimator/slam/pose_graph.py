@@ -85,6 +85,19 @@ class PoseGraph:
         """Return the graph with those of its loops whose keyframes are among some, by their numbers."""
         return replace(self, loops=tuple(each for each in self.loops if {each.first, each.second} <= set(numbers)))
 
+    def among(self, numbers: Collection[int]) -> "PoseGraph":
+        """Return the graph of some of its keyframes, by their numbers, the first one among them."""
+        relative = tuple(each for each in self.odometry if {each.first, each.second} <= set(numbers))
+        return replace(
+            self.between(numbers),
+            poses={number: self.poses[number] for number in numbers},
+            odometry=relative,
+            gravity=tuple(each for each in self.gravity if each.keyframe in numbers),
+            positions=tuple(each for each in self.positions if each.keyframe in numbers),
+            joined=tuple(number for number in self.joined if number in numbers),
+            fixed=tuple(number for number in self.fixed if number in numbers),
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class OptimizedGraph:
