@@ -24,7 +24,7 @@ error of a hundredth of a pixel in common, by which a map of landmarks with disp
 percent too small. A rotation of the second camera explains it, and the scale then follows from near landmarks.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
@@ -179,30 +179,46 @@ def adjust(inputs: AdjustmentInputs, config: AdjustmentConfig, scale: Scale = Sc
         config: Settings.
         scale: What determines the scale.
     """
-    keyframes = inputs.keyframes
+    keyframes, relative = inputs.keyframes, [loop for loop in inputs.loops if not len(loop.observations)]
+    table, points = triangulated(map_observations(inputs, config), inputs, config)
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    for number, T_map_imu in inputs.poses.items():
-        values.insert(X(number), pose3=gtsam.Pose3(T_map_imu))
-    if inputs.saved is None:
-        noise, T_first = gtsam.noiseModel.Gaussian.Covariance(inputs.first_covariance), inputs.poses[inputs.first]
-        graph.add(gtsam.PriorFactorPose3(X(inputs.first), gtsam.Pose3(T_first), noise))
-    else:
-        graph.push_back(factor_graph(inputs.saved.graph))
+    for keyframe in keyframes:
+        values.insert(X(keyframe.number), pose3=gtsam.Pose3(keyframe.T_map_imu))
+        if keyframe.number == inputs.first:
+            noise = gtsam.noiseModel.Gaussian.Covariance(inputs.first_covariance)
+            graph.add(gtsam.PriorFactorPose3(X(keyframe.number), gtsam.Pose3(keyframe.T_map_imu), noise))
+    if inputs.saved is not None:
+        _add_saved(graph, values, inputs.saved.graph, {*table.keyframe.tolist(), *(each.first for each in relative)})
     intervals = list(_imu_intervals(keyframes, LONG_INTERVAL_S if scale is Scale.ODOMETRY else 0.0))
     _add_imu(graph, values, inputs, intervals)
     if scale is Scale.ODOMETRY:
         _add_relative_poses(graph, _odometry(keyframes), ODOMETRY_VARIANCE)
-    _add_relative_poses(graph, [loop for loop in inputs.loops if not len(loop.observations)])
-    _add_landmarks(graph, values, inputs, config)
+    _add_relative_poses(graph, relative)
+    _add_landmarks(graph, values, inputs, config, table, points)
     params = gtsam.LevenbergMarquardtParams()
     params.setMaxIterations(config.iterations)
     params.setRelativeErrorTol(config.tolerance)
     params.setOrderingType("METIS")  # COLAMD takes longer than four steps in a map of 16 000 landmarks, METIS 0.5 s
     solution = gtsam.LevenbergMarquardtOptimizer(graph, values, params).optimize()
-    fixed = frozenset() if inputs.saved is None else frozenset(inputs.saved.graph.fixed)
+    fixed = () if inputs.saved is None else inputs.saved.graph.fixed
     poses = {n: T if n in fixed else solution.atPose3(X(n)).matrix() for n, T in inputs.poses.items()}
     bias = solution.atConstantBias(B(intervals[-1][1].number)) if intervals else _bias(keyframes[-1])
     return AdjustedMap(poses, bias.gyroscope(), bias.accelerometer(), scale)
+
+
+def _add_saved(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, saved: PoseGraph, connected: Collection[int]
+) -> None:
+    """Add the pose graph of saved keyframes.
+
+    Those that stay where they are matter only where they are connected with the flight; without factors with others,
+    they are no variables for METIS.
+    """
+    is_fixed = frozenset(saved.fixed)
+    held = saved.among({number for number in saved.poses if number in connected or number not in is_fixed})
+    for number, T_map_imu in held.poses.items():
+        values.insert(X(number), pose3=gtsam.Pose3(T_map_imu))
+    graph.push_back(factor_graph(held))
 
 
 def _add_imu(
@@ -276,10 +292,14 @@ def _add_relative_poses(
 
 
 def _add_landmarks(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, inputs: AdjustmentInputs, config: AdjustmentConfig
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    inputs: AdjustmentInputs,
+    config: AdjustmentConfig,
+    table: ObservationTable,
+    points: Mapping[int, Array],
 ) -> None:
-    """Add the landmarks with enough views and parallax, and their reprojection factors."""
-    table, points = triangulated(map_observations(inputs, config), inputs, config)
+    """Add landmarks and their reprojection factors."""
     sensors = [gtsam.Pose3(T) for T in inputs.calibration.Ts_imu_cam]
     estimated = {camera for camera in np.unique(table.camera).tolist() if camera and config.rig_rotation_sigma_deg}
     _add_rig(graph, values, {camera: sensors[camera] for camera in estimated}, config)
