@@ -158,7 +158,9 @@ def odometry_factors(
         position, added = None, least + _missing_growth(estimate, expected)
     up = estimate.T_odom_imu[:3, :3].T @ _UP
     tilt = tilt_axes(up)
-    added = added + _tilt_excess(expected, estimate.covariance, tilt)
+    # By the odometry and not by the factors before it, whose excess would grow from keyframe to keyframe.
+    by_odometry = _transported(previous.estimate.covariance, T) + least
+    added = added + _tilt_excess(by_odometry, estimate.covariance, tilt)
     relative = RelativePose(previous.number, number, T, added)
     P = transported + added
     information = _information(tilt, estimate.covariance) - _information(tilt, P)

@@ -20,6 +20,7 @@ from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.preintegration import PreintegrationParams
 from dronevio.estimator.keyframe_observer import OdometryKeyframe
 from dronevio.estimator.slam.adjuster import solved
+from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.final_graph import at_optimum, measured_in_map
@@ -232,6 +233,18 @@ class VisualSlam:
             raise ConfigError(f"map with {count} keyframes; expected {MIN_KEYFRAMES} or more to save it")
         graph = solution.without_rejected
         write_map(Path(path), saved_map(self._rig.cameras, graph, mapper.keyframes, mapper.patches))
+
+    def adjustment_inputs(self) -> AdjustmentInputs:
+        """Return the measurements of the final map for bundle adjustment, with its final poses; see `adjust`.
+
+        Raises:
+            ConfigError: No keyframe has joined the map, or some are those of a loaded map, without measurements.
+        """
+        final = self._final_solution()
+        keyframes = final.mapper.keyframes
+        if final.solution is None or not self._measurements.covers(keyframes):
+            raise ConfigError("map without the measurements of all its keyframes; expected one of this flight alone")
+        return self._measurements.inputs(keyframes, final.solution.without_rejected)
 
     def final_graph(self) -> PoseGraph:
         """Return the pose graph of the final map for other programs, without rejected loops; see `final_graph`.

@@ -168,3 +168,14 @@ def test_scaled_pose_keeps_rotation_and_covariance() -> None:
     np.testing.assert_allclose(longer.T_first_second, pose_matrix(rotation_z(0.4), np.array([1.5, 3.0, 4.5])))
     np.testing.assert_array_equal(relative.T_first_second[:3, 3], [1.0, 2.0, 3.0])
     assert (longer.first, longer.second) == (3, 7) and longer.covariance is relative.covariance
+
+
+def test_covariance_of_a_long_flight_stays_bounded() -> None:
+    """The tilt is known better about one axis than about the other, which must not grow from keyframe to keyframe."""
+    node = first_node(0, estimate(0, np.eye(4), Drift(1e-8, 1e-6)))
+    for index in range(1, 300):
+        angle = 0.1 * index
+        T = pose_matrix(np.eye(3), np.array([5.0 * np.sin(angle), 5.0 * np.cos(angle), 1.0]))
+        covariance = np.diag([1e-6, 4e-6, 1e-6 * index, 1e-4, 1e-4, 1e-4])
+        node, _ = odometry_factors(node, index, replace(estimate(index, T, Drift(1e-6, 1e-4)), covariance=covariance))
+    assert np.linalg.eigvalsh(node.covariance).max() < 0.02
