@@ -140,9 +140,11 @@ def outcome_of(run: EstimatorRun, truth: Trajectory, in_world: Alignment) -> Rel
     errors_m = translation_errors_m(true.p_world_imu, in_world.positions(mapped.p_world_imu[rows]))
     joined_s = float(mapped.t_ns[0] - odometry.t_ns[0]) * 1e-9
     rmse_m = Statistics.of(errors_m).rmse
-    true, rows = interpolate(truth, run.final_trajectory.t_ns)
-    final = in_world.positions(run.final_trajectory.p_world_imu[rows])
-    final_m = Statistics.of(translation_errors_m(true.p_world_imu, final)).rmse
+    final, final_m = run.final_trajectory, None
+    if len(final):
+        true, rows = interpolate(truth, final.t_ns)
+        final_errors_m = translation_errors_m(true.p_world_imu, in_world.positions(final.p_world_imu[rows]))
+        final_m = Statistics.of(final_errors_m).rmse
     adjustment, loops = "" if run.map is None else run.map.adjustment, _loops_since(run, run.t_ns[0])
     return Reloaded(joined_s, float(errors_m[0]), rmse_m, final_m, loops, odometry_m, adjustment)
 

@@ -51,9 +51,11 @@ def measured_in_map(
     """
     _, landmarks = triangulated(map_observations(inputs, adjustment), inputs, adjustment)
 
+    saved = {} if inputs.saved is None else inputs.saved.graph.poses
+
     def at_poses(relative: RelativePose) -> RelativePose:
         T = inverse_pose(graph.poses[relative.first]) @ graph.poses[relative.second]
-        is_smaller = inputs.keyframes[0].number <= relative.second <= adjusted_until
+        is_smaller = relative.second <= adjusted_until and relative.second not in saved
         stated = relative.covariance / (ADJUSTED_VARIANCE if is_smaller else 1.0)
         return replace(relative, T_first_second=T, covariance=stated)
 
