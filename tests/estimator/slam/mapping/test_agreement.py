@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dronevio.estimator.backend.observations import NO_OBSERVATIONS
 from dronevio.estimator.slam.agreement import (
     ACCEL_BIAS_SIGMA_M_S2,
     SCALE_SIGMA,
@@ -13,7 +14,6 @@ from dronevio.estimator.slam.agreement import (
     differences,
     odometry_scale_sigma,
 )
-from dronevio.estimator.backend.observations import NO_OBSERVATIONS
 from dronevio.estimator.slam.bundle_adjustment import (
     AdjustedMap,
     AdjustmentInputs,
