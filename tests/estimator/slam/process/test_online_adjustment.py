@@ -171,4 +171,5 @@ def test_flight_in_a_loaded_map_is_adjusted_during_it() -> None:
         builder.process(measured(in_second_frame(keyframe(one_camera(), place, 1))))
     (inputs,) = adjuster.started
     assert inputs.keyframes[0].number == PLACES and len(inputs.loops) >= CONFIG.adjustment_schedule.min_loops
+    assert all(loop.second >= PLACES for loop in inputs.loops)
     assert inputs.saved is not None and inputs.saved.graph.loops == eye and len(inputs.saved.observations)
