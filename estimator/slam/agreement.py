@@ -39,7 +39,7 @@ class Difference:
     name: str
     """Name of the quantity."""
     unit: str
-    """Its unit."""
+    """Unit of the quantity."""
     value: float
     """Difference between the two."""
     sigma: float
