@@ -113,7 +113,7 @@ class ProcessAdjuster:
 
 
 def solved(inputs: AdjustmentInputs, config: AdjustmentConfig) -> AdjustmentOutcome:
-    """Return the adjusted map that agrees with the odometry, with the scale by the IMU if possible.
+    """Return the adjusted map that agrees with the odometry and a loaded map, with the scale by the IMU if possible.
 
     With one camera, the IMU determines the scale of the map where its noise is that of its data sheet and the result
     agrees with the odometry; otherwise the odometry does. See `bundle_adjustment` and `agreement`.
@@ -133,7 +133,8 @@ def solved(inputs: AdjustmentInputs, config: AdjustmentConfig) -> AdjustmentOutc
             continue
         contradicting = [str(each) for each in differences(inputs, adjusted) if not each.agrees]
         if not contradicting:
-            return AdjustmentOutcome(adjusted.poses, f"scale by the {scale}")
+            saved = "" if inputs.saved is None else " and the loaded map"
+            return AdjustmentOutcome(adjusted.poses, f"scale by the {scale}{saved}")
         reasons += contradicting
     return AdjustmentOutcome(None, f"not used: {reasons[-1]}")
 

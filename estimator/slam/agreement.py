@@ -1,9 +1,9 @@
-"""Whether an adjusted map agrees with the odometry that it corrects: scale, inclination and biases.
+"""Whether an adjusted map agrees with the odometry that it corrects, and with a loaded map in which it lies.
 
 Bundle adjustment weights images and IMU by models of their errors. Where these are wrong, as for an IMU on a vibrating
 mount, its solution may be far from the path that the odometry has estimated with the same measurements, and which loops
-confirm up to its drift. The two are compared in their joint standard deviations; an adjusted map that contradicts the
-odometry is not used.
+confirm up to its drift. Scale, inclination and biases of the two are compared in their joint standard deviations, and
+the poses in a loaded map with its loops; an adjusted map that contradicts one of them is not used.
 """
 
 from collections.abc import Sequence
@@ -13,6 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.slam.bundle_adjustment import AdjustedMap, AdjustmentInputs, AdjustmentKeyframe
+from dronevio.estimator.slam.odometry_factors import RelativePose
+from dronevio.models.rotation import inverse_pose, log_so3
 
 Array = npt.NDArray[np.float64]
 
@@ -32,7 +34,7 @@ MIN_DISTANCE_M = 1.0
 
 @dataclass(frozen=True)
 class Difference:
-    """A quantity of an adjusted map beside that of the odometry."""
+    """A quantity of an adjusted map beside that of the odometry or of a loaded map."""
 
     name: str
     """Name of the quantity."""
@@ -42,6 +44,8 @@ class Difference:
     """Difference between the two."""
     sigma: float
     """Joint standard deviation of the difference."""
+    other: str = "that of the odometry"
+    """With what the quantity is compared."""
 
     @property
     def agrees(self) -> bool:
@@ -51,11 +55,11 @@ class Difference:
     def __str__(self) -> str:
         """Return the difference as text."""
         by, sigma = f"{self.value:+.2g} {self.unit}", f"{self.sigma:.2g} {self.unit}"
-        return f"{self.name} differs by {by} from that of the odometry (joint standard deviation {sigma})"
+        return f"{self.name} differs by {by} from {self.other} (joint standard deviation {sigma})"
 
 
 def differences(inputs: AdjustmentInputs, adjusted: AdjustedMap) -> tuple[Difference, ...]:
-    """Return the differences between an adjusted map and the odometry.
+    """Return the differences between an adjusted map and the odometry, and a loaded map.
 
     Args:
         inputs: The measurements.
@@ -63,9 +67,9 @@ def differences(inputs: AdjustmentInputs, adjusted: AdjustedMap) -> tuple[Differ
     """
     newest = inputs.keyframes[-1]
     track = [keyframe for keyframe in inputs.keyframes if keyframe.track == newest.track]
-    found = [_tilt(newest, adjusted), *_biases(newest, adjusted)]
-    scale = _scale(track, adjusted)
-    return tuple(found if scale is None else [scale, *found])
+    scale, saved = _scale(track, adjusted), _positions(inputs, adjusted)
+    found = (scale, _tilt(newest, adjusted), *_biases(newest, adjusted), saved)
+    return tuple(each for each in found if each is not None)
 
 
 def _scale(track: Sequence[AdjustmentKeyframe], adjusted: AdjustedMap) -> Difference | None:
@@ -132,3 +136,21 @@ def _biases(newest: AdjustmentKeyframe, adjusted: AdjustedMap) -> list[Differenc
         worst = int(np.argmax(np.abs(difference) / joint))
         found.append(Difference(name, unit, float(difference[worst]), float(joint[worst])))
     return found
+
+
+def _positions(inputs: AdjustmentInputs, adjusted: AdjustedMap) -> Difference | None:
+    """Return by how much the loops with a loaded map contradict it, as RMS; None without any."""
+    known = () if inputs.saved is None else inputs.saved.graph.poses
+    loops = [loop for loop in inputs.loops if loop.first in known]
+    if not loops:
+        return None
+    rms = float(np.sqrt(np.mean([_normalized(loop, adjusted) for loop in loops])))
+    return Difference("pose", "σ", rms, 1.0, "the loops with the loaded map")
+
+
+def _normalized(loop: RelativePose, adjusted: AdjustedMap) -> float:
+    """Return the squared error of a loop in an adjusted map, a sixth of χ²."""
+    T = inverse_pose(adjusted.poses[loop.first]) @ adjusted.poses[loop.second]
+    error = inverse_pose(loop.T_first_second) @ T
+    residual = np.concatenate([log_so3(error[:3, :3]), error[:3, 3]])
+    return float(residual @ np.linalg.solve(loop.covariance, residual)) / len(residual)

@@ -15,12 +15,16 @@ A loop enters it by the landmarks of the earlier visit that the later keyframe s
 one camera: its position is as wrong as the scale of the landmarks then, and since the residual is in metres, a smaller
 map would have smaller residuals.
 
+The keyframes of a loaded map have no measurements of their flights but the corners of their images. Those of landmarks
+that the new flight sees again are observations, too, and the saved pose graph holds the keyframes, so that the scale is
+that of the loaded map.
+
 With several cameras, the orientation of the others relative to the first one is estimated, too. Stereo matches have an
 error of a hundredth of a pixel in common, by which a map of landmarks with disparities of ten pixels is a tenth of a
 percent too small. A rotation of the second camera explains it, and the scale then follows from near landmarks.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
@@ -38,6 +42,7 @@ from dronevio.estimator.backend.triangulation import triangulate
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationParams
 from dronevio.estimator.slam.odometry_factors import RelativePose
+from dronevio.estimator.slam.pose_graph import PoseGraph, factor_graph
 from dronevio.estimator.types import Calibration
 from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.ranges import Range, Settings
@@ -113,13 +118,23 @@ class AdjustmentKeyframe:
 
 
 @dataclass(frozen=True, eq=False)
+class SavedKeyframes:
+    """The keyframes of a loaded map."""
+
+    graph: PoseGraph
+    """Their pose graph, with the initial poses."""
+    observations: ObservationTable
+    """Their observations of landmarks that loops connect with the flight."""
+
+
+@dataclass(frozen=True, eq=False)
 class AdjustmentInputs:
     """The measurements of a map."""
 
     keyframes: Sequence[AdjustmentKeyframe]
-    """Keyframes in the order of time."""
+    """Keyframes with measurements, in the order of time."""
     loops: Sequence[RelativePose]
-    """Loops between them; those without observations are used as relative poses."""
+    """Loops between them, and with saved keyframes; those without observations are used as relative poses."""
     imu: ImuSamples
     """IMU samples from before the first to after the last keyframe."""
     imu_model: ImuModel
@@ -132,6 +147,14 @@ class AdjustmentInputs:
     """Number of the keyframe whose yaw and position are those of the map frame."""
     first_covariance: Array
     """(6, 6) Prior covariance of its pose: δθ, then δp, both in the IMU frame."""
+    saved: SavedKeyframes | None = None
+    """The keyframes of a loaded map, the first one of the map among them; None without a loaded map."""
+
+    @property
+    def poses(self) -> dict[int, Array]:
+        """Initial poses (4, 4) of all keyframes in the map frame, by their numbers."""
+        saved = {} if self.saved is None else self.saved.graph.poses
+        return {**saved, **{keyframe.number: keyframe.T_map_imu for keyframe in self.keyframes}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,27 +179,46 @@ def adjust(inputs: AdjustmentInputs, config: AdjustmentConfig, scale: Scale = Sc
         config: Settings.
         scale: What determines the scale.
     """
-    keyframes = inputs.keyframes
+    keyframes, relative = inputs.keyframes, [loop for loop in inputs.loops if not len(loop.observations)]
+    table, points = triangulated(map_observations(inputs, config), inputs, config)
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for keyframe in keyframes:
         values.insert(X(keyframe.number), pose3=gtsam.Pose3(keyframe.T_map_imu))
         if keyframe.number == inputs.first:
             noise = gtsam.noiseModel.Gaussian.Covariance(inputs.first_covariance)
             graph.add(gtsam.PriorFactorPose3(X(keyframe.number), gtsam.Pose3(keyframe.T_map_imu), noise))
+    if inputs.saved is not None:
+        _add_saved(graph, values, inputs.saved.graph, {*table.keyframe.tolist(), *(each.first for each in relative)})
     intervals = list(_imu_intervals(keyframes, LONG_INTERVAL_S if scale is Scale.ODOMETRY else 0.0))
     _add_imu(graph, values, inputs, intervals)
     if scale is Scale.ODOMETRY:
         _add_relative_poses(graph, _odometry(keyframes), ODOMETRY_VARIANCE)
-    _add_relative_poses(graph, [loop for loop in inputs.loops if not len(loop.observations)])
-    _add_landmarks(graph, values, inputs, config)
+    _add_relative_poses(graph, relative)
+    _add_landmarks(graph, values, inputs, config, table, points)
     params = gtsam.LevenbergMarquardtParams()
     params.setMaxIterations(config.iterations)
     params.setRelativeErrorTol(config.tolerance)
     params.setOrderingType("METIS")  # COLAMD takes longer than four steps in a map of 16 000 landmarks, METIS 0.5 s
     solution = gtsam.LevenbergMarquardtOptimizer(graph, values, params).optimize()
-    poses = {keyframe.number: solution.atPose3(X(keyframe.number)).matrix() for keyframe in keyframes}
+    fixed = () if inputs.saved is None else inputs.saved.graph.fixed
+    poses = {n: T if n in fixed else solution.atPose3(X(n)).matrix() for n, T in inputs.poses.items()}
     bias = solution.atConstantBias(B(intervals[-1][1].number)) if intervals else _bias(keyframes[-1])
     return AdjustedMap(poses, bias.gyroscope(), bias.accelerometer(), scale)
+
+
+def _add_saved(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, saved: PoseGraph, connected: Collection[int]
+) -> None:
+    """Add the pose graph of saved keyframes.
+
+    Those that stay where they are matter only where they are connected with the flight; without factors with others,
+    they are no variables for METIS.
+    """
+    is_fixed = frozenset(saved.fixed)
+    held = saved.among({number for number in saved.poses if number in connected or number not in is_fixed})
+    for number, T_map_imu in held.poses.items():
+        values.insert(X(number), pose3=gtsam.Pose3(T_map_imu))
+    graph.push_back(factor_graph(held))
 
 
 def _add_imu(
@@ -250,10 +292,14 @@ def _add_relative_poses(
 
 
 def _add_landmarks(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, inputs: AdjustmentInputs, config: AdjustmentConfig
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    inputs: AdjustmentInputs,
+    config: AdjustmentConfig,
+    table: ObservationTable,
+    points: Mapping[int, Array],
 ) -> None:
-    """Add the landmarks with enough views and parallax, and their reprojection factors."""
-    table, points = triangulated(map_observations(inputs, config), inputs, config)
+    """Add landmarks and their reprojection factors."""
     sensors = [gtsam.Pose3(T) for T in inputs.calibration.Ts_imu_cam]
     estimated = {camera for camera in np.unique(table.camera).tolist() if camera and config.rig_rotation_sigma_deg}
     _add_rig(graph, values, {camera: sensors[camera] for camera in estimated}, config)
@@ -296,6 +342,7 @@ def _add_rig(
 def map_observations(inputs: AdjustmentInputs, config: AdjustmentConfig) -> ObservationTable:
     """Return the observations by tracks, stereo matches and loops, sorted by landmark, with deviations in pixels."""
     tracks = ObservationTable.concatenated([keyframe.observations for keyframe in inputs.keyframes])
+    tracks = tracks if inputs.saved is None else tracks + inputs.saved.observations
     tracks = replace(tracks, sigma_scale=config.pixel_sigma * tracks.sigma_scale)
     table = ObservationTable.concatenated([tracks, *(loop.observations for loop in inputs.loops)]).by_landmark()
     # A keyframe may see a landmark by several loops, since a track spans several earlier keyframes.
@@ -320,7 +367,7 @@ def triangulated(
     table, starts, counts = _with_views(table, config.min_views)
     if not len(table):
         return table, {}
-    Ts = {k.number: k.T_map_imu @ inputs.calibration.Ts_imu_cam for k in inputs.keyframes}
+    Ts = {number: T @ inputs.calibration.Ts_imu_cam for number, T in inputs.poses.items()}
     T = np.stack([Ts[k][c] for k, c in zip(table.keyframe.tolist(), table.camera.tolist(), strict=True)])
     found = triangulate(starts, T[:, :3, :3], T[:, :3, 3], table.xy)
     limit = config.max_error_px / float(inputs.calibration.focal_px[0])

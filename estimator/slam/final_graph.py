@@ -51,9 +51,12 @@ def measured_in_map(
     """
     _, landmarks = triangulated(map_observations(inputs, adjustment), inputs, adjustment)
 
+    saved = {} if inputs.saved is None else inputs.saved.graph.poses
+
     def at_poses(relative: RelativePose) -> RelativePose:
         T = inverse_pose(graph.poses[relative.first]) @ graph.poses[relative.second]
-        stated = relative.covariance / (ADJUSTED_VARIANCE if relative.second <= adjusted_until else 1.0)
+        is_smaller = relative.second <= adjusted_until and relative.second not in saved
+        stated = relative.covariance / (ADJUSTED_VARIANCE if is_smaller else 1.0)
         return replace(relative, T_first_second=T, covariance=stated)
 
     rig = inputs.calibration.Ts_imu_cam, inputs.calibration.focal_px

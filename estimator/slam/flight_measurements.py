@@ -7,11 +7,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
-from dronevio.estimator.backend.observations import observation_table
+from dronevio.estimator.backend.observations import ObservationTable, observation_table
 from dronevio.estimator.imu.preintegration import PreintegrationParams
-from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs, AdjustmentKeyframe
+from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs, AdjustmentKeyframe, SavedKeyframes
 from dronevio.estimator.slam.keyframe import MapKeyframe
+from dronevio.estimator.slam.odometry_factors import RelativePose
 from dronevio.estimator.slam.pose_graph import PoseGraph
+from dronevio.estimator.slam.saved_map import LAST_KNOWN_NS
 from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.imu import ImuModel, ImuSamples, Times
 from dronevio.models.state import NavState
@@ -73,8 +75,14 @@ class FlightMeasurements:
         return np.array([self._keyframes[keyframe.t_ns].stamp_ns for keyframe in keyframes], dtype=np.int64)
 
     def covers(self, keyframes: Sequence[MapKeyframe]) -> bool:
-        """Return whether all of some keyframes have measurements, unlike those of a loaded map."""
-        return all(keyframe.t_ns in self._keyframes for keyframe in keyframes)
+        """Return whether keyframes of this flight are among some, and all of them have measurements."""
+        of_flight = [keyframe for keyframe in keyframes if keyframe.t_ns > LAST_KNOWN_NS]
+        return bool(of_flight) and len(self.of_flight(of_flight)) == len(of_flight)
+
+    def loops(self, keyframes: Sequence[MapKeyframe], graph: PoseGraph) -> list[RelativePose]:
+        """Return the loops of a graph whose later keyframe has measurements."""
+        numbers = {keyframe.number for keyframe in self.of_flight(keyframes)}
+        return [loop for loop in graph.loops if loop.second in numbers]
 
     def causal_poses(self, keyframes: Sequence[MapKeyframe]) -> Array:
         """Return the poses (K, 4, 4) of keyframes in the odometry frame as they were estimated at their frames.
@@ -88,19 +96,25 @@ class FlightMeasurements:
         """Return the measurements of a map for its bundle adjustment.
 
         Args:
-            keyframes: The keyframes of the map in the order of time, whose measurements have been added.
+            keyframes: The keyframes of the map in the order of time; those without measurements are of a loaded map.
             graph: The pose graph with the initial poses, without rejected loops.
         """
-        newest = self._keyframes[keyframes[-1].t_ns]
+        newest, of_flight, loops = (
+            self._keyframes[keyframes[-1].t_ns],
+            self.of_flight(keyframes),
+            self.loops(keyframes, graph),
+        )
+        saved = [keyframe for keyframe in keyframes if keyframe.t_ns <= LAST_KNOWN_NS]
         return AdjustmentInputs(
-            [self._initialized(keyframe, graph) for keyframe in keyframes],
-            graph.loops,
+            [self._initialized(keyframe, graph) for keyframe in of_flight],
+            loops,
             ImuSamples.concatenated([measured.imu for measured in self._keyframes.values()]),
             self._imu_model,
             newest.imu_noise,
             newest.calibration,
             graph.first,
             graph.first_covariance,
+            _saved(saved, graph, loops) if saved else None,
         )
 
     def _initialized(self, keyframe: MapKeyframe, graph: PoseGraph) -> AdjustmentKeyframe:
@@ -119,3 +133,17 @@ class FlightMeasurements:
             self._estimates[keyframe.t_ns],
             keyframe.track,
         )
+
+
+def _saved(keyframes: Sequence[MapKeyframe], graph: PoseGraph, loops: Sequence[RelativePose]) -> SavedKeyframes:
+    """Return the keyframes of a loaded map, with their observations of the landmarks of loops."""
+    seen = np.unique(np.concatenate([loop.observations.landmark for loop in loops])) if loops else np.zeros(0, np.int64)
+    tables = [_corners(keyframe)[np.isin(keyframe.features.landmark, seen)] for keyframe in keyframes]
+    numbers = {keyframe.number for keyframe in keyframes}
+    return SavedKeyframes(graph.among(numbers), ObservationTable.concatenated(tables))
+
+
+def _corners(keyframe: MapKeyframe) -> ObservationTable:
+    """Return the corners of a keyframe as observations of the best quality."""
+    f, none = keyframe.features, np.zeros(len(keyframe.features), np.int64)
+    return ObservationTable(f.landmark, none + keyframe.number, f.camera, f.xy, np.ones(len(f)), none)

@@ -69,7 +69,7 @@ class LandmarkPatches:
     """Small images around the landmarks of a keyframe."""
 
     landmark: Integers
-    """(L,) Identities of the landmarks; -1 in a loaded map, whose former measurements are not known."""
+    """(L,) Identities of the landmarks; -1 in a loaded map where they are not known."""
     points_imu: Array
     """(L, 3) Positions of the landmarks in the IMU frame of the keyframe [m]."""
     pixels: Array
@@ -175,7 +175,7 @@ class Localizer:
             return None
         if not fit.is_certain(c.max_sigma_m, np.radians(c.max_sigma_deg)):
             return None
-        observations = old[agrees].observed_by(query.number, c.pose.pixel_sigma)
+        observations = old[agrees & (old.landmark >= 0)].observed_by(query.number, c.pose.pixel_sigma)
         return RelativePose.measured(match.number, query.number, fit.T_match_query, fit.covariance, observations)
 
     def _in_view(

@@ -133,7 +133,7 @@ class MapBuilder:
         Args:
             rig: The calibration.
             config: Settings.
-            known: A saved map, which is not adjusted, since it has no measurements; None for an empty one.
+            known: A saved map, None for an empty one.
             adjuster: Adjusts the map during the flight.
 
         Raises:
@@ -148,7 +148,7 @@ class MapBuilder:
                     recognizer.insert(keyframe)
             self.mapper.load(known)
         self._extractor = PlaceFeatureExtractor(config.places.features)
-        self._measurements = FlightMeasurements(rig.imu) if known is None else None
+        self._measurements = FlightMeasurements(rig.imu)
         self._schedule = AdjustmentSchedule(config.adjustment_schedule)
         self._adjuster = adjuster
         self._keyframes = 0
@@ -169,9 +169,9 @@ class MapBuilder:
             case MarginalizedKeyframe(keyframe, estimate, measured):
                 events = self._finish_adjustment()
                 correction = replace(self.mapper.add(estimate, self._view(keyframe)), events=events)
-                if self._measurements is not None and measured is not None:
+                if measured is not None:
                     self._measurements.add(estimate, measured)
-                    self._begin_adjustment(self._measurements, correction)
+                    self._begin_adjustment(correction)
                 return correction
 
     def _finish_adjustment(self) -> tuple[str, ...]:
@@ -184,12 +184,12 @@ class MapBuilder:
             self.mapper.adjust(outcome.poses)
         return (f"adjustment of the map: {outcome.text}",)
 
-    def _begin_adjustment(self, measurements: FlightMeasurements, correction: Correction) -> None:
+    def _begin_adjustment(self, correction: Correction) -> None:
         """Begin an adjustment if it is time for one and the newest keyframe is in the map."""
-        graph, keyframes = self.mapper.accepted_graph, self.mapper.keyframes
+        graph, keyframes, measurements = self.mapper.accepted_graph, self.mapper.keyframes, self._measurements
         if graph is None or correction.T_map_odom is None or not measurements.covers(keyframes):
             return
-        if self._schedule.begins(self._keyframes, len(graph.loops)):
+        if self._schedule.begins(self._keyframes, len(measurements.loops(keyframes, graph))):
             self._adjuster.start(measurements.inputs(keyframes, graph))
 
     def _view(self, keyframe: ImagedKeyframe) -> KeyframeView:

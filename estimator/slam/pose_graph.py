@@ -85,6 +85,19 @@ class PoseGraph:
         """Return the graph with those of its loops whose keyframes are among some, by their numbers."""
         return replace(self, loops=tuple(each for each in self.loops if {each.first, each.second} <= set(numbers)))
 
+    def among(self, numbers: Collection[int]) -> "PoseGraph":
+        """Return the graph of some of its keyframes, by their numbers, and the factors between them."""
+        relative = tuple(each for each in self.odometry if {each.first, each.second} <= set(numbers))
+        return replace(
+            self.between(numbers),
+            poses={number: T for number, T in self.poses.items() if number in numbers},
+            odometry=relative,
+            gravity=tuple(each for each in self.gravity if each.keyframe in numbers),
+            positions=tuple(each for each in self.positions if each.keyframe in numbers),
+            joined=tuple(number for number in self.joined if number in numbers),
+            fixed=tuple(number for number in self.fixed if number in numbers),
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class OptimizedGraph:
@@ -194,8 +207,9 @@ def factor_graph(graph: PoseGraph) -> gtsam.NonlinearFactorGraph:
     Factors of fixed keyframes alone are left out, since they are constant.
     """
     factors, is_fixed = gtsam.NonlinearFactorGraph(), frozenset(graph.fixed)
-    prior = gtsam.noiseModel.Gaussian.Covariance(graph.first_covariance)
-    factors.add(gtsam.PriorFactorPose3(X(graph.first), gtsam.Pose3(graph.poses[graph.first]), prior))
+    if graph.first in graph.poses:
+        prior = gtsam.noiseModel.Gaussian.Covariance(graph.first_covariance)
+        factors.add(gtsam.PriorFactorPose3(X(graph.first), gtsam.Pose3(graph.poses[graph.first]), prior))
     free = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([FREE_ROTATION_SIGMA_RAD, FREE_POSITION_SIGMA_M], 3))
     for number in graph.joined:
         factors.add(gtsam.PriorFactorPose3(X(number), gtsam.Pose3(graph.poses[number]), free))

@@ -164,7 +164,7 @@ class SavedMap:
             )
             for row in range(len(t_ns))
         )
-        tiles = {row: self._patches(rows) for row, rows in enumerate(patches) if rows.start < rows.stop}
+        tiles = {row: self._patches(rows, keyframes[row]) for row, rows in enumerate(patches) if rows.start < rows.stop}
         return KnownMap(keyframes, self._fixed_graph() if is_fixed else self.graph, tiles)
 
     @property
@@ -197,11 +197,13 @@ class SavedMap:
             _identities(self.corner_landmark[rows]),
         )
 
-    def _patches(self, rows: slice) -> LandmarkPatches:
-        """Return some of the patches."""
+    def _patches(self, rows: slice, keyframe: MapKeyframe) -> LandmarkPatches:
+        """Return the patches of a keyframe, whose landmarks are those of its landmarks at the same position."""
         points = self.patch_points_imu[rows].astype(np.float64)
+        is_same = np.all(points[:, None] == keyframe.landmarks_imu, axis=2)
+        identities = keyframe.landmark_ids[is_same.argmax(axis=1)] if len(keyframe.landmark_ids) else -1
         return LandmarkPatches(
-            np.full(len(points), -1),
+            np.where(is_same.any(axis=1), identities, -1),
             points,
             self.patch_pixels[rows].astype(np.float64),
             self.patch_camera[rows].astype(np.int64),

@@ -100,6 +100,8 @@ class Submap:
     """The last bundle adjustment; None before the first one. After it, the map frame is no odometry frame any more."""
     T_map_first: Array = field(default_factory=lambda: np.eye(4))
     """(4, 4) Pose in the map of the frame in which the first keyframe keeps its yaw and position; see `map_frame`."""
+    is_saved: bool = False
+    """Whether the map frame is that of a file, which stays where it is."""
 
     @classmethod
     def begin(cls, number: int, estimate: KeyframeEstimate, track: int) -> "Submap":
@@ -112,7 +114,11 @@ class Submap:
     @classmethod
     def of_graph(cls, graph: PoseGraph, track: int) -> "Submap":
         """Return the submap of a saved graph as one track, whose loops are all accepted."""
-        return cls(OptimizedGraph(graph, frozenset()), frozenset({track}), covariances_of(graph), graph, {})
+        solution, adjustment = OptimizedGraph(graph, frozenset()), Adjustment(max(graph.poses), graph.first, 1.0)
+        covariances = covariances_of(graph)
+        return cls(
+            solution, frozenset({track}), covariances, graph, {}, adjustment=adjustment, is_saved=True
+        )  # its covariances are those after an adjustment
 
     @property
     def graph(self) -> PoseGraph:
@@ -183,7 +189,7 @@ class Submap:
         """
         scale = adjustment.scale / self._scale_of(adjustment.first)
         known = -1 if self.adjustment is None else self.adjustment.newest
-        T = frame_change(poses, self.first_poses)
+        T = np.eye(4) if self.is_saved else frame_change(poses, self.first_poses)
         poses = {number: T @ pose for number, pose in poses.items()}
         graph, history = (remeasured(each, poses, scale, known) for each in (self.graph, self.whole_graph))
         solution = replace(self.solution, graph=graph)

@@ -196,8 +196,8 @@ class VisualSlam:
         """Return the map of the whole flight by all measurements; None if no keyframe has joined the map.
 
         The pose graph gives the initial poses, and visual-inertial bundle adjustment the final ones. Without loops, the
-        odometry is not corrected. A loaded map has no measurements of its former flights: there, the pose graph gives
-        the final poses.
+        odometry is not corrected. A loaded map has no measurements of its former flights: its keyframes are held by the
+        saved pose graph, or stay where they are.
         """
         final = self._final_solution()
         mapper, solution = final.mapper, final.solution
@@ -328,7 +328,7 @@ class VisualSlam:
         if self._final is None or self._final.frames != self._frames:
             mapper, adjustment = self.mapper, ""
             solution = mapper.final_solution()
-            if solution is not None and self._known is None:
+            if solution is not None:
                 solution, adjustment = self._adjusted(mapper, solution)
             self._final = _Final(self._frames, mapper, solution, adjustment)
         return self._final
@@ -336,9 +336,10 @@ class VisualSlam:
     def _adjusted(self, mapper: Mapper, solution: OptimizedGraph) -> tuple[OptimizedGraph, str]:
         """Return the pose graph with the poses by bundle adjustment, if it has loops, and the outcome as text."""
         graph = solution.without_rejected
-        if not graph.loops or not self._measurements.covers(mapper.keyframes):
+        keyframes, measurements = mapper.keyframes, self._measurements
+        if not measurements.covers(keyframes) or not measurements.loops(keyframes, graph):
             return solution, ""
-        outcome = solved(self._measurements.inputs(mapper.keyframes, graph), self._config.adjustment)
+        outcome = solved(measurements.inputs(keyframes, graph), self._config.adjustment)
         if outcome.poses is None:  # those of the pose graph remain
             return solution, outcome.text
         return replace(solution, graph=replace(solution.graph, poses=outcome.poses)), outcome.text

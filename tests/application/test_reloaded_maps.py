@@ -9,6 +9,7 @@ import pytest
 
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.errors import ConfigError
+from dronevio.models.recordings.open import open_recording
 from dronevio.models.rotation import inverse_pose, pose_matrix, rotation_z
 from dronevio.models.slam_map import SlamMap
 from dronevio.models.state import Estimate, Health, NavState, Trajectory
@@ -67,6 +68,7 @@ def with_map(run: EstimatorRun) -> EstimatorRun:
             points=np.zeros((0, 3)),
             track=np.repeat([0, 1], [2, N]),
             starts_ns=np.array([-10 * S, -S]),
+            adjustment="scale by the IMU",
         ),
     )
 
@@ -81,7 +83,11 @@ def test_errors_are_in_the_frame_of_the_file(reloaded: Any) -> None:
     assert found.first_error_m == pytest.approx(0.03)
     assert found.rmse_m == pytest.approx(np.sqrt((3 * 0.03**2 + 0.06**2) / 4))  # a constant offset remains
     assert found.odometry_m == pytest.approx(0.0, abs=1e-9)
-    assert reloaded.cells("light", 10.0, found) == ("`light`", "10", "4.00", "30.0", "39.7", "3", "0.0")
+    assert found.final_m == pytest.approx(0.0, abs=1e-9)  # where the map has the true poses
+    assert reloaded.cells("light", 10.0, found) == (
+        *("`light`", "10", "4.00", "30.0", "39.7", "0.0", "3", "0.0"),
+        "scale by the IMU",
+    )
 
 
 def test_time_until_joined_begins_with_the_odometry(reloaded: Any) -> None:
@@ -96,7 +102,7 @@ def test_a_flight_that_is_not_joined_has_no_errors(reloaded: Any) -> None:
     in_world, _ = reloaded.map_frame_in_world(with_map(flight(0)), truth())
     found = reloaded.outcome_of(flight(joined_at=N), truth(), in_world)
     assert (found.joined_s, found.first_error_m, found.rmse_m, found.loops) == (None, None, None, 0)
-    assert reloaded.cells("far", 0.0, found)[2:6] == ("–", "–", "–", "0")
+    assert reloaded.cells("far", 0.0, found)[2:7] == ("–", "–", "–", "–", "0")
 
 
 def test_a_map_of_another_world_is_refused(reloaded: Any, flown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -111,4 +117,13 @@ def test_the_same_flight_finds_its_own_map(reloaded: Any, flown: Any, capsys: py
     printed = capsys.readouterr().out.splitlines()
     assert printed[0].startswith("Final path of the first flight: RMSE ")
     row = [cell.strip() for cell in printed[-1].strip("|").split("|")]
-    assert 0.0 < float(row[2]) < 4.0 and float(row[3]) < 20.0 and int(row[5]) > 0
+    assert 0.0 < float(row[2]) < 4.0 and float(row[3]) < 20.0 and int(row[6]) > 0
+
+
+def test_the_beginning_of_a_recording(reloaded: Any, flown: Any) -> None:
+    whole = open_recording(flown.folder, 1)
+    begun = reloaded.Beginning(whole, 1.0)
+    count, end_ns = len(begun.frame_times_ns), whole.frame_times_ns[0] + S
+    assert 0 < count < len(whole.frame_times_ns) and whole.frame_times_ns[count] >= end_ns > begun.frame_times_ns[-1]
+    assert begun.imu.t_ns[-1] < end_ns <= whole.imu.t_ns[len(begun.imu)]
+    assert begun.ground_truth.t_ns[-1] < end_ns and begun.frame(0).t_ns == whole.frame(0).t_ns

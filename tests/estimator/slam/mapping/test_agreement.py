@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dronevio.estimator.backend.observations import NO_OBSERVATIONS
 from dronevio.estimator.slam.agreement import (
     ACCEL_BIAS_SIGMA_M_S2,
     SCALE_SIGMA,
@@ -13,8 +14,16 @@ from dronevio.estimator.slam.agreement import (
     differences,
     odometry_scale_sigma,
 )
-from dronevio.estimator.slam.bundle_adjustment import AdjustedMap, AdjustmentInputs, AdjustmentKeyframe, Scale
-from dronevio.models.rotation import exp_so3, pose_matrix
+from dronevio.estimator.slam.bundle_adjustment import (
+    AdjustedMap,
+    AdjustmentInputs,
+    AdjustmentKeyframe,
+    SavedKeyframes,
+    Scale,
+)
+from dronevio.estimator.slam.odometry_factors import RelativePose
+from dronevio.estimator.slam.pose_graph import PoseGraph
+from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 
 
 def straight(adjustment_inputs: AdjustmentInputs, sigmas_m: tuple[float, ...]) -> list[AdjustmentKeyframe]:
@@ -76,3 +85,22 @@ def test_only_the_newest_track_is_compared(adjustment_inputs: AdjustmentInputs) 
     newest = keyframes[-1]
     adjusted = AdjustedMap(poses, newest.gyro_bias_rad_s, newest.accel_bias_m_s2, Scale.IMU)
     assert found(keyframes, adjustment_inputs, adjusted)["scale"].value == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize(("offset_m", "agrees"), [(0.02, True), (0.2, False)])
+def test_loops_with_a_loaded_map_by_hand(adjustment_inputs: AdjustmentInputs, offset_m: float, agrees: bool) -> None:
+    """One of two loops is fulfilled, and the other one misses by an offset, of which 1 cm is a standard deviation."""
+    keyframes = straight(adjustment_inputs, (0.0, 0.04, 0.024, 0.12))
+    newest, T_saved = keyframes[-1], pose_matrix(exp_so3(np.array([0.0, 0.0, 0.3])), np.array([1.0, 2.0, 0.0]))
+    poses = {-1: T_saved, **{k.number: k.T_map_imu for k in keyframes}}
+    measured = [inverse_pose(T_saved) @ poses[number] for number in (1, 2)]
+    measured[1] = measured[1] @ pose_matrix(np.eye(3), np.array([offset_m, 0.0, 0.0]))
+    loops = [RelativePose(-1, i + 1, T, 1e-4 * np.eye(6)) for i, T in enumerate(measured)]
+    loops.append(RelativePose(0, 3, np.eye(4), 1e-4 * np.eye(6)))  # within the flight
+    saved = SavedKeyframes(PoseGraph(-1, np.eye(6), {-1: T_saved}), NO_OBSERVATIONS)
+    inputs = replace(adjustment_inputs, loops=loops, saved=saved)
+    adjusted = AdjustedMap(poses, newest.gyro_bias_rad_s, newest.accel_bias_m_s2, Scale.IMU)
+    difference = found(keyframes, inputs, adjusted)["pose"]
+    assert difference.value == pytest.approx(np.sqrt((offset_m / 0.01) ** 2 / 12)) and difference.agrees == agrees
+    assert "from the loops with the loaded map" in str(difference)
+    assert "pose" not in found(keyframes, replace(inputs, saved=None), adjusted)

@@ -2,16 +2,25 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 
 from dronevio.estimator.backend.observations import ObservationTable
 from dronevio.estimator.backend.triangulation import triangulate
-from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig, AdjustmentInputs, Scale, _imu_intervals, adjust
+from dronevio.estimator.slam.bundle_adjustment import (
+    AdjustmentConfig,
+    AdjustmentInputs,
+    SavedKeyframes,
+    Scale,
+    _imu_intervals,
+    adjust,
+)
 from dronevio.estimator.slam.odometry_factors import RelativePose
-from dronevio.estimator.slam.pose_graph import OptimizedGraph
+from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 
 if TYPE_CHECKING:
@@ -263,3 +272,38 @@ def test_imu_intervals_end_with_the_track(adjustment_inputs: AdjustmentInputs) -
     every = [(first.number, second.number) for first, second in _imu_intervals(keyframes, 0.0)]
     assert every == [(i, i + 1) for i in range(14) if i != 7]
     assert list(_imu_intervals(keyframes[:1], 0.0)) == []
+
+
+def reloaded(adjustment_inputs: AdjustmentInputs, true: Mapping[int, Array], *, is_fixed: bool) -> AdjustmentInputs:
+    """Return a flight, the second half, in the loaded map of the first half, whose poses are true.
+
+    Landmarks that both halves see connect them. The flight begins at another place.
+    """
+    half, carried = 40, pose_matrix(exp_so3(np.array([0.0, 0.0, 0.02])), np.array([0.1, 0.0, 0.0]))
+    old, new = adjustment_inputs.keyframes[:half], adjustment_inputs.keyframes[half:]
+    poses = {k.number: true[k.t_ns] for k in old}
+    edges = tuple(RelativePose(a, b, inverse_pose(poses[a]) @ poses[b], 1e-8 * np.eye(6)) for a, b in pairwise(poses))
+    fixed = tuple(poses) if is_fixed else ()
+    graph = PoseGraph(old[0].number, 1e-8 * np.eye(6), poses, () if is_fixed else edges, fixed=fixed)
+    connected = np.unique(np.concatenate([k.observations.landmark for k in new]))
+    table = ObservationTable.concatenated([k.observations for k in old])
+    # Some saved keyframes have no landmark in common with the flight.
+    table = table[np.isin(table.landmark, connected) & (table.keyframe >= old[half // 2].number)]
+    moved = [replace(k, T_map_imu=carried @ true[k.t_ns]) for k in new]
+    return replace(adjustment_inputs, keyframes=moved, loops=[], first=graph.first, saved=SavedKeyframes(graph, table))
+
+
+@pytest.mark.parametrize("is_fixed", [False, True])
+def test_flight_in_a_loaded_map(
+    odometry_flight: "OdometryFlight", adjustment_inputs: AdjustmentInputs, is_fixed: bool
+) -> None:
+    """Landmarks in common put the flight where it is in the map, whose keyframes stay."""
+    true = odometry_flight.true_poses
+    inputs = reloaded(adjustment_inputs, true, is_fixed=is_fixed)
+    assert inputs.saved is not None
+    adjusted = adjust(inputs, AdjustmentConfig(iterations=40, max_error_px=100.0)).poses
+    assert set(adjusted) == {k.number for k in adjustment_inputs.keyframes}
+    for number, T in inputs.saved.graph.poses.items():
+        np.testing.assert_allclose(adjusted[number], T, atol=0.0 if is_fixed else 2e-3)
+    error_m = [np.linalg.norm((adjusted[k.number] - true[k.t_ns])[:3, 3]) for k in inputs.keyframes]
+    assert max(error_m) < 0.01, max(error_m)  # 0.1 m and more before

@@ -20,12 +20,15 @@ from dronevio.estimator.slam.map_builder import (
 )
 from dronevio.estimator.slam.map_process import MapProcess
 from dronevio.estimator.slam.mapping import MappingConfig
+from dronevio.estimator.slam.odometry_factors import RelativePose
 from dronevio.estimator.slam.schedule import AdjustmentScheduleConfig
 from dronevio.estimator.types import Calibration
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import NavState
 from tests.estimator.slam.process.conftest import PLACES, keyframe, one_camera
+from tests.estimator.slam.process.test_saved_maps import lap_map
+from tests.estimator.slam.process.test_visual_slam import in_second_frame
 
 Array = npt.NDArray[np.float64]
 
@@ -156,3 +159,17 @@ def test_adjusted_map_in_a_worker_process_is_the_same() -> None:
     assert found == answers(LocalMap(one_camera(), CONFIG), messages)
     without = replace(CONFIG, adjustment_schedule=AdjustmentScheduleConfig(enabled=False))
     assert found != answers(LocalMap(one_camera(), without), messages)  # adjustments have had an effect
+
+
+def test_flight_in_a_loaded_map_is_adjusted_during_it() -> None:
+    """Loops of the file do not count; the adjusted poses are in the frame of the file."""
+    adjuster, saved = TurningAdjuster(), lap_map().known()
+    eye = tuple(RelativePose(0, i, np.eye(4), np.eye(6)) for i in range(2, PLACES))
+    known = replace(saved, graph=replace(saved.graph, loops=eye))
+    builder = MapBuilder(one_camera(), CONFIG, known, adjuster)
+    for place in range(PLACES):
+        builder.process(measured(in_second_frame(keyframe(one_camera(), place, 1))))
+    (inputs,) = adjuster.started
+    assert inputs.keyframes[0].number == PLACES and len(inputs.loops) >= CONFIG.adjustment_schedule.min_loops
+    assert all(loop.second >= PLACES for loop in inputs.loops)
+    assert inputs.saved is not None and inputs.saved.graph.loops == eye and len(inputs.saved.observations)

@@ -10,20 +10,21 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.slam import visual_slam
-from dronevio.estimator.slam.adjuster import LocalAdjuster
-from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig
+from dronevio.estimator.slam.adjuster import AdjustmentOutcome, LocalAdjuster
+from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig, AdjustmentInputs
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.final_graph import at_optimum
 from dronevio.estimator.slam.map_builder import MapBuilder, MarginalizedKeyframe
 from dronevio.estimator.slam.map_file import read_map
-from dronevio.estimator.slam.odometry_factors import RelativePose
-from dronevio.estimator.slam.pose_graph import optimize
+from dronevio.estimator.slam.odometry_factors import RelativePose, first_node
+from dronevio.estimator.slam.pose_graph import ADJUSTED_VARIANCE, optimize
 from dronevio.estimator.slam.saved_map import FIRST_KNOWN_LANDMARK, LAST_KNOWN_NS, SavedMap, saved_map
+from dronevio.estimator.slam.submap import Adjustment, Submap
 from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig, euroc_rig
-from dronevio.models.rotation import inverse_pose
+from dronevio.models.rotation import inverse_pose, pose_matrix
 from dronevio.models.state import CameraFrame, Estimate
 from tests.estimator.slam.process.conftest import DRIFT_M, PLACES, keyframe, one_camera
 from tests.estimator.slam.process.test_visual_slam import (
@@ -50,7 +51,12 @@ def lap_map() -> SavedMap:
 
 
 def fly(
-    monkeypatch: pytest.MonkeyPatch, second_lap: Sequence[int], saved: SavedMap | Path, *, localize_only: bool = False
+    monkeypatch: pytest.MonkeyPatch,
+    second_lap: Sequence[int],
+    saved: SavedMap | Path,
+    *,
+    localize_only: bool = False,
+    with_imu: bool = False,
 ) -> tuple[VisualSlam, list[Estimate]]:
     """Return visual SLAM and its estimates after another flight, whose odometry has another frame."""
     rig = one_camera()
@@ -58,7 +64,16 @@ def fly(
     monkeypatch.setattr(visual_slam, "VisualInertialOdometry", ScriptedOdometry(keyframes))
     config = SlamConfig(worker=False, correction_delay=CORRECTION_DELAY)
     slam = VisualSlam(rig, config=config, map=saved, localize_only=localize_only)
-    return slam, [slam.add_frame(_frame(message)) for message in keyframes]
+    estimates = []
+    for message in keyframes:
+        if with_imu:
+            slam.add_imu(_imu(message))
+        estimates.append(slam.add_frame(_frame(message)))
+    return slam, estimates
+
+
+def _imu(message: MarginalizedKeyframe) -> ImuSamples:
+    return ImuSamples(np.array([message.estimate.t_ns]), np.zeros((1, 3)), np.zeros((1, 3)))
 
 
 def _frame(message: MarginalizedKeyframe) -> CameraFrame:
@@ -119,13 +134,8 @@ def test_merged_flights_are_one_map(monkeypatch: pytest.MonkeyPatch, tmp_path: P
 def test_exports_of_a_merged_map(monkeypatch: pytest.MonkeyPatch) -> None:
     """The graph has the keyframes of both flights, at its optimum; there are images of the second one alone."""
     rig = one_camera()
-    keyframes = [in_second_frame(keyframe(rig, place, 1)) for place in range(PLACES)]
-    monkeypatch.setattr(visual_slam, "VisualInertialOdometry", ScriptedOdometry(keyframes))
-    slam = VisualSlam(rig, config=SlamConfig(worker=False, correction_delay=CORRECTION_DELAY), map=lap_map())
-    for message in keyframes:
-        t_ns = message.estimate.t_ns
-        slam.add_imu(ImuSamples(np.array([t_ns]), np.zeros((1, 3)), np.zeros((1, 3))))
-        slam.add_frame(_frame(message))
+    slam, _ = fly(monkeypatch, range(PLACES), lap_map(), with_imu=True)
+    keyframes = [keyframe(rig, place, 1) for place in range(PLACES)]
     graph, final = slam.final_graph(), slam.final_map()
     assert final is not None and len(graph.poses) == len(final.t_ns) == 2 * PLACES - DELAY
     for number, T in at_optimum(graph).poses.items():
@@ -135,6 +145,74 @@ def test_exports_of_a_merged_map(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.stamps_ns.tolist() == [message.estimate.t_ns for message in keyframes[:-DELAY]]
     Ts_map_cam = final.Ts_map_imu[PLACES:] @ rig.cameras[0].T_imu_cam
     np.testing.assert_allclose(found.reconstruction.Ts_world_cam, Ts_map_cam, atol=1e-9)
+
+
+def test_patches_of_a_loaded_map_know_their_landmarks() -> None:
+    known = lap_map().known()
+    for each in known.keyframes:
+        patches = known.patches[each.number]
+        assert len(patches.landmark) and np.all(patches.landmark >= FIRST_KNOWN_LANDMARK)
+        rows = np.searchsorted(each.landmark_ids, patches.landmark)
+        np.testing.assert_array_equal(each.landmark_ids[rows], patches.landmark)
+        np.testing.assert_array_equal(each.landmarks_imu[rows], patches.points_imu)
+
+
+@pytest.mark.parametrize("localize_only", [False, True])
+def test_a_flight_in_a_loaded_map_is_adjusted_in_the_end(monkeypatch: pytest.MonkeyPatch, localize_only: bool) -> None:
+    """Its keyframes have measurements, and those of the file their corners and their graph, or they are fixed."""
+    started, up = [], np.array([0.0, 0.0, 0.01])
+
+    def raised(inputs: AdjustmentInputs, config: AdjustmentConfig) -> AdjustmentOutcome:
+        started.append(inputs)
+        of_flight = {keyframe.number for keyframe in inputs.keyframes}
+        poses = {n: pose_matrix(T[:3, :3], T[:3, 3] + (n in of_flight) * up) for n, T in inputs.poses.items()}
+        return AdjustmentOutcome(poses, "raised")
+
+    monkeypatch.setattr(visual_slam, "solved", raised)
+    slam, _ = fly(monkeypatch, range(PLACES), lap_map(), localize_only=localize_only, with_imu=True)
+    final = slam.final_map()
+    (inputs,) = started
+    assert final is not None and final.adjustment == "raised"
+    new = [keyframe.number for keyframe in inputs.keyframes]
+    assert new == list(range(PLACES, 2 * PLACES - DELAY))
+    assert inputs.loops and all(loop.first < PLACES <= loop.second for loop in inputs.loops)
+    assert inputs.saved is not None and list(inputs.saved.graph.poses) == list(range(PLACES))
+    assert inputs.saved.graph.fixed == (tuple(range(PLACES)) if localize_only else ())
+    assert len(inputs.saved.graph.odometry) == (0 if localize_only else PLACES - 1)
+    seen = np.concatenate([loop.observations.landmark for loop in inputs.loops])
+    table = inputs.saved.observations
+    assert len(table) and np.all(np.isin(table.landmark, seen)) and np.all(table.landmark >= FIRST_KNOWN_LANDMARK)
+    np.testing.assert_allclose(final.Ts_map_imu[PLACES:], [inputs.poses[n] + _raise(up) for n in new], atol=1e-12)
+
+
+def _raise(up: Array) -> Array:
+    change = np.zeros((4, 4))
+    change[:3, 3] = up
+    return change
+
+
+def test_a_flight_without_measurements_is_not_adjusted(monkeypatch: pytest.MonkeyPatch) -> None:
+    slam, _ = fly(monkeypatch, range(PLACES), lap_map())
+    final = slam.final_map()
+    assert final is not None and final.adjustment == ""
+
+
+def test_the_frame_of_a_loaded_map_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An adjustment that moves the keyframes of the flight does not move the frame of the file with them."""
+    saved = lap_map().known()
+    submap = Submap.of_graph(saved.graph, 0)
+    last = max(saved.graph.poses)
+    node = first_node(last, keyframe(one_camera(), last, 0).estimate)
+    _, submap = submap.extended(node, last + 1, keyframe(one_camera(), last + 1, 0).estimate)
+    poses = {n: T.copy() for n, T in submap.graph.poses.items()}
+    poses[last + 1][0, 3] += 0.1
+    after = submap.adjusted(poses, Adjustment(last + 1, submap.graph.first, 1.0), 0)
+    for number, T in poses.items():
+        np.testing.assert_allclose(after.graph.poses[number], T, atol=1e-6)
+    before = {each.second: each.covariance for each in submap.graph.odometry}
+    for each in after.graph.odometry:
+        ratio = ADJUSTED_VARIANCE if each.second > last else 1.0  # those of the file have been adjusted
+        np.testing.assert_allclose(each.covariance, ratio * before[each.second])
 
 
 def test_a_flight_elsewhere_stays_apart(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
