@@ -213,8 +213,8 @@ def main(command: ReloadedMapsCommand) -> None:
     for flight in command.flights:
         if flight != command.mapped and world_of(flight) != world_of(command.mapped):
             raise ConfigError(f"{flight} is in another world than {command.mapped}; expected the same --world-seed")
-    recording = open_recording(command.mapped, command.cameras)
-    recording = recording if command.mapped_s is None else Beginning(recording, command.mapped_s)
+    whole = open_recording(command.mapped, command.cameras)
+    recording = whole if command.mapped_s is None else Beginning(whole, command.mapped_s)
     truth = _truth(recording)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "first.map"
