@@ -16,6 +16,7 @@ from dronevio.models.ranges import Range, Settings
 
 if TYPE_CHECKING:
     from dronevio.eval.benchmark.engines import Engine
+    from dronevio.eval.benchmark.jobs import RecordingSpec
     from dronevio.eval.benchmark.rows import Row
     from dronevio.eval.benchmark.runner import BenchmarkPlan, ProgressListener
 
@@ -188,20 +189,10 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
     Raises:
         ConfigError: There is no flight, or an option has an invalid value.
     """
-    from dronevio.benchmark_jobs import (
-        Workbench,
-        excerpts,
-        measured_recordings,
-        recorded_flights,
-        scenario_flights,
-        versions,
-    )
-    from dronevio.benchmark_variants import AS_IS
+    from dronevio.benchmark_jobs import Workbench, excerpts, recorded_flights, versions
     from dronevio.eval.benchmark.cache_limit import default_folder
     from dronevio.eval.benchmark.runner import BenchmarkPlan
     from dronevio.eval.provenance import processor_here
-    from dronevio.measured_flights import measured_flights, measured_name
-    from dronevio.recorder import rig_of
     from dronevio.registry import EXTERNAL, estimator_named
     from dronevio.sim.scenarios import SUITES
 
@@ -213,21 +204,14 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
     labels = [estimator.label for estimator in estimators]
     if not labels or len(set(labels)) < len(labels):
         raise ConfigError(f"estimators {', '.join(labels) or 'none'}; expected at least one, and each name once")
-    seeds = range(command.first_seed, command.first_seed + command.seeds)
     if command.rig is not None and not names:
         raise ConfigError(f"--rig {command.rig} without scenarios; a recording has its own rig")
     if command.variants and not names:
         raise ConfigError(f"--variants {command.variants[0]} without scenarios; a recording has no variants")
     if command.image_sensor is not None and not names:
         raise ConfigError(f"--image-sensor {command.image_sensor} without scenarios; a recording has its own images")
-    simulated = [name for name in names if measured_name(name) is None]
-    planned = scenario_flights(simulated, seeds, command.rig, command.variants, command.image_sensor)
-    if AS_IS in (command.variants or (AS_IS,)):  # what was measured has no variants
-        measured, left_out = measured_flights(names, None if command.rig is None else rig_of(command.rig))
-        planned += measured_recordings(measured, seeds, command.image_sensor)
-        if left_out:
-            print_warning(left_out)
-    flights = excerpts(planned + recorded_flights(command.recordings), command.starts_s, command.laps)
+    planned = _planned_recordings(command, names) + recorded_flights(command.recordings)
+    flights = excerpts(planned, command.starts_s, command.laps)
     programs = [each.label for each in estimators if EXTERNAL.match(each.name)]
     if programs and (command.starts_s or command.laps > 1):
         raise ConfigError(f"--starts-s or --laps with {programs[0]}: a program reads a whole recording once")
@@ -244,6 +228,29 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
         command.keep_recordings,
         processor_here() if command.engine == "local" else None,
     )
+
+
+def _planned_recordings(command: BenchmarkCommand, names: Sequence[str]) -> "tuple[RecordingSpec, ...]":
+    """Return the recordings of scenarios and measured flights, and warn of the latter that lack their data.
+
+    Raises:
+        ConfigError: A name, the rig or the image sensor is not known.
+        InputError: The data of a measured flight that is named is missing.
+    """
+    from dronevio.benchmark_jobs import measured_recordings, scenario_flights
+    from dronevio.benchmark_variants import AS_IS
+    from dronevio.measured_flights import measured_flights, measured_name
+    from dronevio.recorder import rig_of
+
+    seeds = range(command.first_seed, command.first_seed + command.seeds)
+    simulated = [name for name in names if measured_name(name) is None]
+    planned = scenario_flights(simulated, seeds, command.rig, command.variants, command.image_sensor)
+    if AS_IS not in (command.variants or (AS_IS,)):  # what was measured has no variants
+        return planned
+    measured, left_out = measured_flights(names, None if command.rig is None else rig_of(command.rig))
+    if left_out:
+        print_warning(left_out)
+    return planned + measured_recordings(measured, seeds, command.image_sensor)
 
 
 def _report_defects(path: Path, strict: bool) -> None:

@@ -116,9 +116,8 @@ class Submap:
         """Return the submap of a saved graph as one track, whose loops are all accepted."""
         solution, adjustment = OptimizedGraph(graph, frozenset()), Adjustment(max(graph.poses), graph.first, 1.0)
         covariances = covariances_of(graph)
-        return cls(
-            solution, frozenset({track}), covariances, graph, {}, adjustment=adjustment, is_saved=True
-        )  # its covariances are those after an adjustment
+        # The covariances of the file are those after an adjustment.
+        return cls(solution, frozenset({track}), covariances, graph, {}, adjustment=adjustment, is_saved=True)
 
     @property
     def graph(self) -> PoseGraph:

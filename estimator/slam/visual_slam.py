@@ -238,19 +238,19 @@ class VisualSlam:
         """Return the measurements of the final map for bundle adjustment, with its final poses; see `adjust`.
 
         Raises:
-            ConfigError: No keyframe has joined the map, or some are those of a loaded map, without measurements.
+            ConfigError: No keyframe of the flight has joined the map, or one of them has no measurements.
         """
         final = self._final_solution()
         keyframes = final.mapper.keyframes
         if final.solution is None or not self._measurements.covers(keyframes):
-            raise ConfigError("map without the measurements of all its keyframes; expected one of this flight alone")
+            raise ConfigError("map without keyframes of this flight and their measurements; expected one or more")
         return self._measurements.inputs(keyframes, final.solution.without_rejected)
 
     def final_graph(self) -> PoseGraph:
         """Return the pose graph of the final map for other programs, without rejected loops; see `final_graph`.
 
-        Its poses are the optimum of its relative poses. Where all keyframes are of this flight, these are measured in
-        the final map; those of a loaded map stay as they are.
+        Its poses are the optimum of its relative poses, which are measured in the final map where keyframes of the
+        flight have joined it.
 
         Raises:
             ConfigError: No keyframe has joined the map.
@@ -280,7 +280,7 @@ class VisualSlam:
     def reconstruction(self) -> RecordedReconstruction:
         """Return the keyframes of the flight at their final poses, with the landmarks that they observe.
 
-        Keyframes of a loaded map are left out, since a saved map has neither images nor observations.
+        Keyframes of a loaded map are left out, since a saved map has no images.
 
         Raises:
             ConfigError: No keyframe of the flight has joined the map.
