@@ -17,6 +17,7 @@ from dronevio.estimator.slam.bundle_adjustment import (
     SavedKeyframes,
     Scale,
     _imu_intervals,
+    _odometry,
     adjust,
 )
 from dronevio.estimator.slam.odometry_factors import RelativePose
@@ -255,12 +256,33 @@ def test_the_odometry_keeps_the_scale_of_a_shaking_camera(
     measured = shaken(odometry_flight, adjustment_inputs)
     true = {k.number: odometry_flight.true_poses[k.t_ns] for k in measured.keyframes}
 
-    def size(poses: Mapping[int, Array]) -> float:
-        p = np.array([poses[number][:3, 3] for number in true])
-        return float(np.linalg.norm(p - p.mean(axis=0)))
+    def size(inputs: AdjustmentInputs, scale: Scale) -> float:
+        adjusted = adjust(inputs, AdjustmentConfig(), scale).poses
+        p = np.array([(adjusted[number][:3, 3], T[:3, 3]) for number, T in true.items()])
+        adjusted_m, true_m = np.linalg.norm(p - p.mean(axis=0), axis=(0, 2))
+        return float(adjusted_m / true_m)
 
-    by_imu, by_odometry = (size(adjust(measured, AdjustmentConfig(), scale).poses) / size(true) for scale in Scale)
+    by_imu, by_odometry = (size(measured, scale) for scale in Scale)
     assert by_imu < 0.97 and abs(by_odometry - 1.0) < 0.01, (by_imu, by_odometry)
+    # Each of its two parts counts: long intervals alone help, and an odometry of another scale changes it.
+    alone = [replace(k, estimate=replace(k.estimate, next_t_ns=0)) for k in measured.keyframes]
+    assert size(replace(measured, keyframes=alone), Scale.ODOMETRY) > by_imu + 0.01
+    larger = []
+    for k in measured.keyframes:
+        T = k.estimate.T_imu_next.copy()
+        T[:3, 3] *= 1.02
+        larger.append(replace(k, estimate=replace(k.estimate, T_imu_next=T)))
+    assert size(replace(measured, keyframes=larger), Scale.ODOMETRY) > by_odometry + 0.005
+
+
+def test_relative_poses_are_those_of_consecutive_keyframes(adjustment_inputs: AdjustmentInputs) -> None:
+    """Not across a keyframe that has not joined the map, nor between two tracks."""
+    keyframes = [replace(k, number=i, track=int(i >= 4)) for i, k in enumerate(adjustment_inputs.keyframes[10:17])]
+    left_out = [*keyframes[:1], *keyframes[2:]]
+    assert [(each.first, each.second) for each in _odometry(left_out)] == [(2, 3), (4, 5), (5, 6)]
+    found = _odometry(left_out)[0]
+    np.testing.assert_array_equal(found.T_first_second, keyframes[2].estimate.T_imu_next)
+    np.testing.assert_array_equal(found.covariance, keyframes[2].estimate.relative_covariance)
 
 
 def test_imu_intervals_end_with_the_track(adjustment_inputs: AdjustmentInputs) -> None:
