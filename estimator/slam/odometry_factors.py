@@ -101,6 +101,11 @@ class AbsolutePosition:
     covariance: Array
     """(3, 3) Covariance of that position in the map frame [m²]."""
 
+    def moved(self, T: Array) -> Self:
+        """Return the position where the map frame is moved by T (4, 4)."""
+        R = T[:3, :3]
+        return replace(self, p_map=R @ self.p_map + T[:3, 3], covariance=R @ self.covariance @ R.T)
+
 
 @dataclass(frozen=True, eq=False)
 class OdometryFactors:

@@ -169,6 +169,17 @@ def remeasured(graph: PoseGraph, poses: Mapping[int, Array], scale: float, known
     )
 
 
+def moved(graph: PoseGraph, T: Array) -> PoseGraph:
+    """Return a graph in another map frame.
+
+    Args:
+        graph: The graph.
+        T: (4, 4) Pose of its map frame in the other one, a rotation about the vertical and a translation.
+    """
+    poses = {number: T @ pose for number, pose in graph.poses.items()}
+    return replace(graph, poses=poses, positions=tuple(each.moved(T) for each in graph.positions))
+
+
 def joined_graphs(graph: PoseGraph, other: PoseGraph, T_graph_other: Array) -> PoseGraph:
     """Return two graphs as one, in the map frame of the first; the loops of the second come last.
 

@@ -15,6 +15,7 @@ from dronevio.estimator.slam.best_path import UNKNOWN, covariances_of, covarianc
 from dronevio.estimator.slam.keyframe import MapKeyframe
 from dronevio.estimator.slam.map_frame import frame_change, with_frame_offset
 from dronevio.estimator.slam.odometry_factors import (
+    OdometryFactors,
     OdometryNode,
     RelativePose,
     composed,
@@ -29,6 +30,7 @@ from dronevio.estimator.slam.pose_graph import (
     OptimizedGraph,
     PoseGraph,
     joined_graphs,
+    moved,
     optimize,
     remeasured,
 )
@@ -148,7 +150,7 @@ class Submap:
             estimate: The final estimate of the new keyframe.
         """
         node, factors = odometry_factors(anchor, number, estimate, is_map_frame=self._is_odometry_frame(anchor))
-        factors = replace(factors, relative=scaled(factors.relative, self._scale_of(anchor.first)))
+        factors = replace(self._in_map(factors), relative=scaled(factors.relative, self._scale_of(anchor.first)))
         T = self.graph.poses[anchor.number] @ factors.relative.T_first_second
         graph, history = (each.with_keyframe(T, factors) for each in (self.graph, self.history))
         covariance = propagated(self.covariances[anchor.number], factors.relative, factors.gravity)
@@ -167,7 +169,7 @@ class Submap:
         return replace(self, solution=solution, history=history, waiting=self.waiting + len(loops))
 
     def optimized(self, t_ns: int) -> "Submap":
-        """Return the submap after an optimization, which judges the waiting loops.
+        """Return the submap after an optimization, which judges the waiting loops; its frame is that of `map_frame`.
 
         Args:
             t_ns: Time of the newest keyframe [ns].
@@ -176,10 +178,18 @@ class Submap:
         before = frozenset(self.closed_loops)
         new = [loop for loop in solution.without_rejected.loops if loop not in before]
         covariances = covariances_with_loops(solution.graph, self.covariances, new)
-        return replace(self, solution=solution, covariances=covariances, waiting=0, optimized_ns=t_ns)
+        return replace(self, solution=solution, covariances=covariances, waiting=0, optimized_ns=t_ns)._in_place()
+
+    def _in_place(self) -> "Submap":
+        """Return the submap in the map frame that moves its keyframes as little as possible; see `map_frame`."""
+        if self.is_saved:
+            return self
+        T = frame_change(self.graph.poses, self.first_poses)
+        solution = replace(self.solution, graph=moved(self.graph, T))
+        return replace(self, solution=solution, history=moved(self.history, T), T_map_first=T @ self.T_map_first)
 
     def adjusted(self, poses: Mapping[int, Array], adjustment: Adjustment, t_ns: int) -> "Submap":
-        """Return the submap with keyframes where bundle adjustment has put them, optimized; see `map_frame`.
+        """Return the submap with keyframes where bundle adjustment has put them, optimized.
 
         Args:
             poses: Adjusted poses (4, 4) of keyframes of this submap, which may be culled.
@@ -188,13 +198,9 @@ class Submap:
         """
         scale = adjustment.scale / self._scale_of(adjustment.first)
         known = -1 if self.adjustment is None else self.adjustment.newest
-        T = np.eye(4) if self.is_saved else frame_change(poses, self.first_poses)
-        poses = {number: T @ pose for number, pose in poses.items()}
         graph, history = (remeasured(each, poses, scale, known) for each in (self.graph, self.whole_graph))
         solution = replace(self.solution, graph=graph)
-        T_map_first = T @ self.T_map_first
-        adjusted = replace(self, solution=solution, history=history, adjustment=adjustment, T_map_first=T_map_first)
-        return adjusted.optimized(t_ns)
+        return replace(self, solution=solution, history=history, adjustment=adjustment).optimized(t_ns)
 
     def covariance_in_map(self, number: int) -> Array:
         """Return the covariance (6, 6) of a keyframe's pose in the map; see `with_frame_offset`."""
@@ -252,7 +258,8 @@ class Submap:
         gravity = [each for each in graph.gravity if each.keyframe not in (number, after.second)]
         gravity += [] if merged.gravity is None else [merged.gravity]
         positions = [each for each in graph.positions if each.keyframe not in (number, after.second)]
-        positions += [] if merged.position is None else [merged.position]
+        position = self._in_map(merged).position
+        positions += [] if position is None else [position]
         closed = self.closed_loops
         kept = [loop for loop in graph.loops[: self.judged] if loop.second != number]
         room = MAX_PASSED_LOOPS - sum(loop.second == before.first for loop in kept)
@@ -275,6 +282,11 @@ class Submap:
         solution = OptimizedGraph(culled, rejected)
         covariances = {k: P for k, P in self.covariances.items() if k != number}
         return replace(self, solution=solution, covariances=covariances, history=history, waiting=len(kept_waiting))
+
+    def _in_map(self, factors: OdometryFactors) -> OdometryFactors:
+        """Return factors of the odometry with their position, if they have one, in the map frame."""
+        position = factors.position
+        return factors if position is None else replace(factors, position=position.moved(self.T_map_first))
 
     def _is_odometry_frame(self, node: OdometryNode) -> bool:
         """Return whether the map frame is the odometry frame of a keyframe."""
