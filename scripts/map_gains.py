@@ -3,8 +3,9 @@
 Visual SLAM runs on every recording with every number of cameras, start and alteration of the IMU. A flight is one line
 of a JSON-lines file, which is written as soon as it has been estimated; flights that are in the file already are not
 estimated again, so that an interrupted measurement goes on. ATEs are those after alignment of yaw and position; "scale
-freed" are those after a factor of the path as well. A flight without a pose, or that ends with an error, has an
-infinite error and keeps no bound::
+freed" are those after a factor of the path as well, and "rotation aligned" those after alignment of the whole
+rotation, which inclines the vertical of the final path by "tilt". A flight without a pose, or that ends with an error,
+has an infinite error and keeps no bound::
 
     .venv/bin/dronevio fly --scenario room-square --seed 2 --rig euroc-stereo --out recordings/square
     .venv/bin/python scripts/map_gains.py recordings/square --cameras 1 2 --starts-s 0 10 --alterations none bias

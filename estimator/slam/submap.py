@@ -192,10 +192,15 @@ class Submap:
         """Return the submap with keyframes where bundle adjustment has put them, optimized.
 
         Args:
-            poses: Adjusted poses (4, 4) of keyframes of this submap, which may be culled.
+            poses: Adjusted poses (4, 4) of keyframes of this submap, which may be culled, in the map frame when the
+                adjustment began. The first keyframe has kept its yaw and position.
             adjustment: What they tell of the odometry.
             t_ns: Time of the newest keyframe [ns].
         """
+        if not self.is_saved:  # the map frame may have moved meanwhile
+            first = {number: T for number, T in poses.items() if number == self.graph.first}
+            T_map_begun = frame_change(first, self.graph.poses)
+            poses = {number: T_map_begun @ T for number, T in poses.items()}
         scale = adjustment.scale / self._scale_of(adjustment.first)
         known = -1 if self.adjustment is None else self.adjustment.newest
         graph, history = (remeasured(each, poses, scale, known) for each in (self.graph, self.whole_graph))

@@ -11,6 +11,7 @@ import pytest
 
 from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.models.errors import ConfigError
+from dronevio.models.rotation import exp_so3
 from dronevio.models.state import NavState, Trajectory
 
 S = 1_000_000_000
@@ -46,10 +47,13 @@ def flight(tables: Any) -> Callable[..., Any]:
         nees: float = 3.0,
         loops: int = 1,
         name: str = "MH_04",
-        freed_mm: tuple[float, float] = (1.0, 1.0),
+        freed_mm: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        se3_mm: tuple[float, float, float] = (1.0, 1.0, 1.0),
     ) -> Any:
-        odometry = tables.PathScores(mm[0], freed_mm[0], percent[0], 3.0)
-        online, final = tables.PathScores(mm[1], 1.0, 0.0, nees), tables.PathScores(mm[2], freed_mm[1], percent[1], 3.0)
+        odometry, online, final = (
+            tables.PathScores(*scores, 0.5)
+            for scores in zip(mm, freed_mm, (percent[0], 0.0, percent[1]), (3.0, nees, 3.0), se3_mm, strict=True)
+        )
         return tables.Flight(
             name, 1, 0.0, None, "none", "adjusted", loops, 0, 100.0, odometry, online, final, "a machine"
         )
@@ -83,11 +87,32 @@ def test_bounds_at_their_limits(tables: Any, flight: Callable[..., Any]) -> None
     assert [tables.keeps_nees(flight(still, nees=nees)) for nees in (1.4, 1.5, 5.0, 5.1)] == [False, True, True, False]
 
 
-def test_v1_flights_by_their_freed_scale(tables: Any, flight: Callable[..., Any]) -> None:
-    kept = tables.freed_on_v1(tables.keeps_final)
-    worse, freed = (10.0, 10.0, 20.0), (8.0, 4.0)
-    assert kept(flight(worse, name="V1_02", freed_mm=freed)) and not kept(flight(worse, name="V2_01", freed_mm=freed))
-    assert not kept(flight((10.0, 10.0, 5.0), name="V1_02", freed_mm=(4.0, 8.0)))
+def test_vertical_of_the_truth_by_hand(tables: Any) -> None:
+    """A square with sides of 2 m that is inclined by 0.01 rad: its corners are up to √2 · 0.01 m too high or low."""
+    corners = np.array([[1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, -1.0, 0.0], [1.0, -1.0, 0.0]])
+    inclined = corners @ exp_so3(0.01 * np.array([1.0, 0.0, 0.0])).T
+    found = tables.PathScores.of(score_trajectory(path_along(corners), path_along(inclined)))
+    assert found.ate_mm == pytest.approx(10.0, rel=1e-3)
+    assert found.se3_mm == pytest.approx(0.0, abs=1e-6) and found.tilt_deg == pytest.approx(math.degrees(0.01))
+    line = np.outer(np.arange(4.0), [1.0, 0.0, 0.0])
+    found = tables.PathScores.of(score_trajectory(path_along(line), path_along(line)))
+    assert found.se3_mm is None and math.isinf(tables.se3_mm(found))
+
+
+def test_flights_by_what_their_data_can_judge(tables: Any, flight: Callable[..., Any]) -> None:
+    """V1 with the scale freed, V2 with the rotation aligned, and others as they are."""
+    worse, freed, aligned = (10.0, 20.0, 20.0), (8.0, 4.0, 4.0), (8.0, 2.0, 2.0)
+    for name, error, gain in (("V1_02", 4.0, 0.5), ("V2_01", 2.0, 0.25), ("MH_04", 20.0, 2.0)):
+        one = flight(worse, name=name, freed_mm=freed, se3_mm=aligned)
+        assert tables.error_of(one)(one.final) == error
+        kept = [keeps(one) for bound, keeps in tables.BOUNDS.items() if "V1 with" in bound or "V1 and" in bound]
+        assert kept == [gain < 1.0] * 2
+        assert not tables.keeps_final(one) and not tables.keeps_online(one)
+        assert tables.median_gain([one]) == 2.0 and tables.median_gain([one], tables.error_of) == gain
+    kept = tables.BOUNDS["the same, V1 by the ATE with the scale freed"]
+    small, far = (4.0, 8.0, 8.0), (0.0, 1.0)
+    assert kept(flight(worse, far, name="V1_02", freed_mm=freed, se3_mm=small))
+    assert not kept(flight(worse, name="V1_02", freed_mm=small)) and not kept(flight(worse, far, name="V2_01"))
 
 
 def test_failures_are_the_worst(tables: Any, flight: Callable[..., Any]) -> None:

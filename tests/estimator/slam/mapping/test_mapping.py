@@ -9,6 +9,7 @@ import pytest
 
 from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES
 from dronevio.estimator.slam.localization import KeyframeView
+from dronevio.estimator.slam.map_frame import with_frame_offset
 from dronevio.estimator.slam.mapping import Mapper, MappingConfig
 from dronevio.estimator.slam.pose_graph import optimize
 from dronevio.models.rotation import adjoint, inverse_pose
@@ -120,8 +121,11 @@ def test_covariances_of_corrections_are_those_of_the_best_path(
     )
     compared, by_odometry = 0, [np.trace(c.covariance[3:, 3:]) for c in without_loops.corrections]
     for number, estimate in enumerate(odometry_flight.marginalized):
-        correction = mapper.add(estimate, KeyframeView(NO_KEYFRAME_FEATURES))
-        variance = np.trace(correction.covariance[3:, 3:])
+        correction, submap = mapper.add(estimate, KeyframeView(NO_KEYFRAME_FEATURES)), mapper._submaps[0]
+        by_path = submap.covariances[number]
+        in_map = with_frame_offset(by_path, submap.graph.poses[number], submap.T_map_first)
+        np.testing.assert_array_equal(correction.covariance, in_map)
+        variance = np.trace(by_path[3:, 3:])
         assert variance <= by_odometry[number] * 1.001  # a loop never makes it larger
         for loop in correction.loops:
             # The match is certain, so the keyframe is as certain as the old one, whose yaw moves it.
