@@ -1,8 +1,8 @@
 """The map frame: yaw and position of a map, which no measurement determines.
 
-Bundle adjustment moves all poses of a map, also those that were published before. The map frame is chosen such that it
+An optimization moves all poses of a map, also those that were published before. The map frame is chosen such that it
 moves them as little as possible. Were the first keyframe held instead, the drift of the odometry since then would be an
-offset between what was published before and after the adjustment.
+offset between what was published before and after a loop is closed or the map is adjusted.
 """
 
 from collections.abc import Mapping

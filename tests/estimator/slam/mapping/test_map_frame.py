@@ -1,4 +1,4 @@
-"""The choice of the map frame after bundle adjustment."""
+"""The choice of the map frame after an optimization."""
 
 import numpy as np
 import numpy.typing as npt
