@@ -89,7 +89,7 @@ def test_loops_still_move_an_adjusted_map(odometry_flight: "OdometryFlight") -> 
 
 
 def test_a_loop_leaves_the_map_where_it_was_published(odometry_flight: "OdometryFlight") -> None:
-    """The graph turns and is bent by a loop; its frame is then the one that moves the published poses least."""
+    """The graph turns and is deformed by a loop; its frame is then the one that moves the published poses least."""
     before, _ = adjusted_twice_as_large(odometry_flight)
     graph = before.graph
     T_drift = pose_matrix(rotation_z(np.array(0.005)), np.array([0.02, 0.0, 0.01]))
