@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.slam.agreement import differences
 from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig, AdjustmentInputs, Scale, adjust
+from dronevio.estimator.slam.odometry_scale import with_scale_of_odometry
 
 Array = npt.NDArray[np.float64]
 
@@ -134,7 +135,9 @@ def solved(inputs: AdjustmentInputs, config: AdjustmentConfig) -> AdjustmentOutc
         contradicting = [str(each) for each in differences(inputs, adjusted) if not each.agrees]
         if not contradicting:
             saved = "" if inputs.saved is None else " and the loaded map"
-            return AdjustmentOutcome(adjusted.poses, f"scale by the {scale}{saved}")
+            is_scaled = is_mono and scale is Scale.ODOMETRY
+            poses = with_scale_of_odometry(inputs, adjusted.poses) if is_scaled else adjusted.poses
+            return AdjustmentOutcome(poses, f"scale by the {scale}{saved}")
         reasons += contradicting
     return AdjustmentOutcome(None, f"not used: {reasons[-1]}")
 

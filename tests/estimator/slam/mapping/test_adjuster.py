@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
 import psutil
 import pytest
 
@@ -54,9 +55,10 @@ def test_singular_system_has_no_result(monkeypatch: pytest.MonkeyPatch, adjustme
         ({Scale.IMU: 1.0}, 1.0, [Scale.IMU], "scale by the IMU"),
         ({Scale.IMU: 0.9, Scale.ODOMETRY: 1.0}, 1.0, [Scale.IMU, Scale.ODOMETRY], "scale by the odometry"),
         ({Scale.ODOMETRY: 1.0}, 5.0, [Scale.ODOMETRY], "scale by the odometry"),
+        ({Scale.ODOMETRY: 0.998}, 5.0, [Scale.ODOMETRY], "scale by the odometry"),
         ({Scale.IMU: 0.9, Scale.ODOMETRY: 0.9}, 1.0, [Scale.IMU, Scale.ODOMETRY], "not used: scale differs by -10 %"),
     ],
-    ids=["agrees", "contradicts", "noisy", "both contradict"],
+    ids=["agrees", "contradicts", "noisy", "noisy and smaller", "both contradict"],
 )
 def test_the_scale_has_to_agree_with_the_odometry(
     monkeypatch: pytest.MonkeyPatch,
@@ -82,6 +84,30 @@ def test_the_scale_has_to_agree_with_the_odometry(
     outcome = solved(inputs, CONFIG)
     assert found == tried and outcome.text.startswith(text)
     assert (outcome.poses is None) == text.startswith("not used")
+    if outcome.poses is not None and tried[-1] is Scale.ODOMETRY:  # it has the scale of the odometry then
+        first, *_, last = (k.number for k in inputs.keyframes)
+        ends = outcome.poses[last][:3, 3] - outcome.poses[first][:3, 3]
+        T_first, T_last = (inputs.keyframes[i].estimate.T_odom_imu for i in (0, -1))
+        np.testing.assert_allclose(ends, T_last[:3, 3] - T_first[:3, 3], atol=1e-9)
+
+
+def test_two_cameras_keep_their_scale(monkeypatch: pytest.MonkeyPatch, adjustment_inputs: AdjustmentInputs) -> None:
+    """The baseline determines it, also where the IMU contradicts the odometry."""
+    calibration, tried = adjustment_inputs.calibration, []
+    two = replace(calibration, rig=replace(calibration.rig, cameras=2 * calibration.rig.cameras))
+    newest = adjustment_inputs.keyframes[-1]
+
+    def larger(inputs: AdjustmentInputs, config: AdjustmentConfig, scale: Scale) -> AdjustedMap:
+        tried.append(scale)
+        size = 1.002 if scale is Scale.ODOMETRY else 2.0
+        S = np.diag([size, size, size, 1.0])
+        poses = {k.number: S @ k.estimate.T_odom_imu @ np.linalg.inv(S) for k in inputs.keyframes}
+        return AdjustedMap(poses, newest.gyro_bias_rad_s, newest.accel_bias_m_s2, scale)
+
+    monkeypatch.setattr(adjuster, "adjust", larger)
+    outcome = solved(replace(adjustment_inputs, calibration=two), CONFIG)
+    assert tried == [Scale.IMU, Scale.ODOMETRY] and outcome.poses is not None
+    np.testing.assert_allclose(outcome.poses[newest.number][:3, 3], 1.002 * newest.estimate.T_odom_imu[:3, 3])
 
 
 @pytest.mark.parametrize("end", [lambda p: p.kill(), lambda p: p.terminate()], ids=["killed", "terminated"])
