@@ -82,7 +82,8 @@ def test_hover_has_to_keep_its_target() -> None:
     task = Hover()
     _, goals = task.begin(AREA, RESEARCH, np.random.default_rng(0), 1)
     kept = []
-    for t_s, x in ((0.5, 0.0), (1.0, 0.05), (2.0, 0.2), (2.5, 0.0), (2.98, 0.05), (3.0, 0.05), (9.98, 0.05), (10.0, 0.11)):
+    path = [(0.5, 0.0), (1.0, 0.05), (2.0, 0.2), (2.5, 0.0), (2.98, 0.05), (3.0, 0.05), (9.98, 0.05), (10.0, 0.11)]
+    for t_s, x in path:
         made = step([0.0, 0.0, 0.0], [x, 0.0, 1.2], t_s=t_s)
         goals = task.advance(AREA, goals, made)
         kept.append(bool(task.success(AREA, goals, made)[0]))

@@ -237,7 +237,7 @@ def test_matches_of_other_cameras_are_compensated() -> None:
 
 
 @pytest.mark.parametrize("yaw_deg", [25.0, -25.0])
-def test_motion_along_the_axis_of_another_camera_is_compensated_exactly(yaw_deg: float) -> None:
+def test_motion_along_the_axis_of_another_camera_is_compensated(yaw_deg: float) -> None:
     """The first camera moves sideways, and the second one, which is turned about the same centre, also along its axis.
 
     The ray r to a landmark moves at a constant rate in the first camera, so that (R r)_xy / (R r)_z is exact.

@@ -30,7 +30,7 @@ def test_default_gaps_of_the_associations(association: Association, accepted_ns:
 
 
 @pytest.mark.parametrize(("beyond_ns", "known"), [(0, True), (1_000, True), (1_001, False), (100_000, False)])
-def test_truth_is_held_for_the_rounding_of_a_stamp_and_not_extrapolated(beyond_ns: int, known: bool) -> None:
+def test_truth_is_not_extrapolated_beyond_a_rounded_stamp(beyond_ns: int, known: bool) -> None:
     """The truth moves at 1 m/s for a second; estimated poses are before its first and after its last pose."""
     t_ns = 10**9 + 10**7 * np.arange(101)
     p, still = np.outer((t_ns - t_ns[0]) * 1e-9, [1.0, 0.0, 0.0]), np.tile([1.0, 0, 0, 0], (101, 1))
