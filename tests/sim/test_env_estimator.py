@@ -396,6 +396,55 @@ def test_landings_have_to_be_soft_and_on_the_pad(x: float, velocity: float, land
     assert terms["landed"][0] == 100.0 * landed and terms["uncertainty"][0] == pytest.approx(-0.6)
 
 
+@pytest.mark.parametrize(("hop_m", "worst_m_s"), [(0.05, 2.0), (0.02, 0.7)], ids=["hard hit", "low hop"])
+def test_the_worst_touchdown_of_an_episode_counts(hop_m: float, worst_m_s: float) -> None:
+    """A hard touchdown, or one after a hop of two centimetres, is followed by a hop and a soft landing."""
+    task = VioHover()
+    _, goals = task.begin(AREA, None, None, 1)  # type: ignore[arg-type]
+    t_s = task.descent_from_s + 0.02 * np.arange(4)
+    for height, velocity, before, t in (
+        (0.0, -worst_m_s, hop_m, t_s[0]),
+        (0.06, 1.0, 0.0, t_s[1]),
+        (0.0, -0.235, 0.05, t_s[2]),
+        (0.0, 0.0, 0.0, t_s[3]),
+    ):
+        goals = task.advance(AREA, goals, hovered(height, velocity, t, before=before))
+    goals = task.advance(AREA, goals, hovered(0.0, 0.0, t_s[3] + 1.0))
+    assert goals.impact_m_s[0] == worst_m_s
+    assert not task.finished(goals)[0]
+
+
+@pytest.mark.parametrize(("descent_m_s", "softly"), [(0.4, True), (2.0, False)])
+def test_single_and_vector_environments_keep_the_worst_touchdown(descent_m_s: float, softly: bool) -> None:
+    """The vehicle hits the pad, hops by some centimetres, and lands softly."""
+    settings: dict[str, Any] = {"task": VioHover(hover_s=0.0, height_m=0.1), "action": "velocity"}
+    single, vector = DroneEnv(**settings), DroneVectorEnv(2, **settings)
+    core = single._core
+    place = core.area.pad + [0.0, 0.0, core.plant.standing_height_m + 0.8]
+    turning = np.full(4, single.settings.vehicle.hover_speed_rad_s)
+    options = {"position_m": place, "rotor_speed_rad_s": turning}
+    single.reset(seed=0, options=options)
+    vector.reset(seed=0, options=options)
+    velocity, ended = -descent_m_s, False
+    for _ in range(200):
+        height = core.states.position_m[0, 2] - core.area.pad[2] - core.plant.standing_height_m
+        if velocity == -descent_m_s and height < 0.005:
+            velocity = 0.6  # to the hop
+        elif velocity == 0.6 and height > 0.08:
+            velocity = -0.2
+        action = np.array([0.0, 0.0, velocity / single.settings.action_limits.velocity_m_s, 0.0])
+        _, _, ended, _, info = single.step(action)
+        *_, infos = vector.step(np.tile(action, (2, 1)))
+        assert info["success"] == infos["success"][0] == infos["success"][1]
+        if ended:
+            break
+    assert velocity == -0.2 and core.states.position_m[0, 2] < place[2] - 0.79  # it stands after the hop
+    for goals in (core._goals, vector._core._goals):
+        np.testing.assert_allclose(goals.impact_m_s, descent_m_s, atol=0.1)
+    assert ended == info["success"] == softly
+    vector.close()
+
+
 def test_standing_before_the_flight_is_no_landing() -> None:
     task = VioHover()
     _, goals = task.begin(AREA, None, None, 1)  # type: ignore[arg-type]

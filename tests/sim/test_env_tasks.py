@@ -77,6 +77,24 @@ def test_hover_rewards_closeness_and_smooth_actions() -> None:
     assert task.success(AREA, goals, step([0.0, 0.0, 0.0], [0.05, 0.0, 1.2]))[0]
 
 
+def test_hover_has_to_keep_its_target() -> None:
+    """A vehicle that is away within the last second, or only passes the target, does not keep it."""
+    task = Hover()
+    _, goals = task.begin(AREA, RESEARCH, np.random.default_rng(0), 1)
+    kept = []
+    path = [(0.5, 0.0), (1.0, 0.05), (2.0, 0.2), (2.5, 0.0), (2.98, 0.05), (3.0, 0.05), (9.98, 0.05), (10.0, 0.11)]
+    for t_s, x in path:
+        made = step([0.0, 0.0, 0.0], [x, 0.0, 1.2], t_s=t_s)
+        goals = task.advance(AREA, goals, made)
+        kept.append(bool(task.success(AREA, goals, made)[0]))
+    assert kept == [True, True, False, False, False, True, True, False]
+    oscillating = [step([0.0, 0.0, 0.0], [0.3 * np.sin(k), 0.0, 1.2], t_s=0.02 * k) for k in range(500)]
+    _, goals = task.begin(AREA, RESEARCH, np.random.default_rng(0), 1)
+    for made in oscillating:
+        goals = task.advance(AREA, goals, made)
+        assert made.t_s[0] < 0.1 or not task.success(AREA, goals, made)[0]
+
+
 def test_waypoints_are_reached_in_order() -> None:
     task = Waypoints(count=2)
     goals = WaypointsGoals(np.array([[[1.0, 0.0, 1.0], [0.0, 1.0, 1.0]]]), np.zeros(1, np.int64))

@@ -23,6 +23,7 @@ from dronevio.sim.physics.vehicle_states import Table, VehicleStates
 Array = npt.NDArray[np.float64]
 
 _START = Start()
+_KEPT_S = 1.0  # time for which a vehicle has to be at its target until it keeps it
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,8 @@ class HoverGoals(Table):
 
     target_m: Array
     """(n, 3) Positions to keep in the world [m]."""
+    away_s: Array
+    """(n,) Times at which the vehicles were last away from their targets; minus infinity if never [s]."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,7 @@ force [m/s²] in the IMU's frame, with noise and biases |
     ## Episode end
     Terminated by a contact with the floor, outside the free space of the world (5.6 × 3.8 × 2.4 m in the room), and if
     the vehicle tilts by more than 90°. Truncated after 10 s, 500 steps. ``info["success"]`` tells whether the distance
-    is below 0.1 m.
+    has been below 0.1 m for one second.
 
     ## Arguments
     `dronevio.sim.envs.single.DroneEnv` describes the arguments that all environments have. Those of this task are the
@@ -117,15 +120,15 @@ force [m/s²] in the IMU's frame, with noise and biases |
     ) -> tuple[VehicleStates, HoverGoals]:
         """Draw initial states around the target."""
         target = np.tile(area.pad + [0.0, 0.0, self.height_m], (count, 1))
-        return self.start.states(target, quadrotor, rng), HoverGoals(target)
+        return self.start.states(target, quadrotor, rng), HoverGoals(target, np.full(count, -np.inf))
 
     def objective(self, area: FlightArea, goals: HoverGoals, t_s: Array) -> Objective:
         """Return the targets."""
         return Objective.of(goals.target_m[:, None])
 
     def advance(self, area: FlightArea, goals: HoverGoals, step: Transition) -> HoverGoals:
-        """Return the goals, which do not change."""
-        return goals
+        """Record when vehicles are away from their targets."""
+        return replace(goals, away_s=np.where(self._is_near(goals, step), goals.away_s, step.t_s))
 
     def reward_terms(
         self, area: FlightArea, before: HoverGoals, goals: HoverGoals, step: Transition
@@ -141,9 +144,13 @@ force [m/s²] in the IMU's frame, with noise and biases |
         return np.zeros(len(goals), dtype=np.bool_)
 
     def success(self, area: FlightArea, goals: HoverGoals, step: Transition) -> Mask:
-        """Return which vehicles are at their targets."""
-        return distance_m(step.after, goals.target_m) < self.tolerance_m
+        """Return which vehicles keep their targets."""
+        return self._is_near(goals, step) & (step.t_s - goals.away_s >= _KEPT_S)
 
     def with_goal(self, goals: HoverGoals, goal_m: Array) -> HoverGoals:
         """Return goals with given targets (n, 3) [m]."""
         return replace(goals, target_m=goal_m)
+
+    def _is_near(self, goals: HoverGoals, step: Transition) -> Mask:
+        """Return which vehicles are at their targets after a step."""
+        return distance_m(step.after, goals.target_m) < self.tolerance_m

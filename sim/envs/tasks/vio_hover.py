@@ -21,7 +21,7 @@ from dronevio.sim.physics.vehicle_states import Table, VehicleStates
 
 Array = npt.NDArray[np.float64]
 
-_ON_GROUND_M = 0.03  # height above that of a standing vehicle below which it has touched down
+_ON_GROUND_M = 0.03  # height above that of a standing vehicle below which it touches down
 _AT_REST_M_S = 0.05
 _AT_REST_S = 0.5  # time for which a vehicle has to stand at rest until it has landed
 _BELOW_PAD_M = 1.0  # the goal descends so far below the pad, so that errors of the estimate do not prevent a landing
@@ -34,7 +34,7 @@ class VioHoverGoals(Table):
     hover_m: Array
     """(n, 3) Points above the pad at which to hover, in the world [m]."""
     impact_m_s: Array
-    """(n,) Downward speeds of the last touchdowns; 0 before [m/s]."""
+    """(n,) Largest downward speeds at the ground since the start, of all touchdowns [m/s]."""
     rest_from_s: Array
     """(n,) Times from which on the vehicles stand at rest after the hover; infinite for others [s]."""
     landed: Mask
@@ -83,9 +83,9 @@ class VioHover(Settings):
 
     ## Episode end
     Terminated with success when the vehicle has stood at rest for 0.5 s after the hover, within 0.2 m of the centre of
-    the pad, and has touched down with at most 0.6 m/s. Terminated by any contact but that of the feet with the ground,
-    outside the free space of the world, if the vehicle tilts by more than 90°, and in the first step if the estimator
-    has not initialized. Truncated after 80 s, 4000 steps.
+    the pad, and no touchdown of the episode was faster than 0.6 m/s. Terminated by any contact but that of the feet
+    with the ground, outside the free space of the world, if the vehicle tilts by more than 90°, and in the first step
+    if the estimator has not initialized. Truncated after 80 s, 4000 steps.
 
     ## Arguments
     `dronevio.sim.envs.single.DroneEnv` describes the arguments that all environments have. Those of this task are the
@@ -117,7 +117,7 @@ class VioHover(Settings):
     tolerance_m: Annotated[float, Range(above=0.0, high=100.0)] = 0.2
     """Largest horizontal distance from the centre of the pad at which a landing is a success [m]."""
     impact_m_s: Annotated[float, Range(above=0.0, high=100.0)] = 0.6
-    """Largest vertical speed of a touchdown that is a success [m/s]."""
+    """Largest downward speed of a touchdown in an episode that is a success [m/s]."""
     distance_scale_m: Annotated[float, Range(above=0.0, high=1e3)] = 0.5
     """Distance at which the closeness has decreased by the factor e [m]."""
     rate_scale_rad_s: Annotated[float, Range(above=0.0, high=1e3)] = 5.0
@@ -157,11 +157,9 @@ class VioHover(Settings):
 
     def advance(self, area: FlightArea, goals: VioHoverGoals, step: Transition) -> VioHoverGoals:
         """Record touchdowns and landings."""
-        on_ground, was_on_ground = (
-            states.position_m[:, 2] - area.pad[2] < step.standing_m + _ON_GROUND_M
-            for states in (step.after, step.before)
-        )
-        impact = np.where(on_ground & ~was_on_ground, -step.before.velocity_m_s[:, 2], goals.impact_m_s)
+        on_ground = step.after.position_m[:, 2] - area.pad[2] < step.standing_m + _ON_GROUND_M
+        # each touchdown counts, also after a hop that is lower than this height
+        impact = np.maximum(goals.impact_m_s, np.where(on_ground, -step.before.velocity_m_s[:, 2], 0.0))
         at_rest = on_ground & (np.linalg.norm(step.after.velocity_m_s, axis=1) < _AT_REST_M_S)
         at_rest &= step.t_s > self.descent_from_s
         rest_from_s = np.where(at_rest, np.minimum(goals.rest_from_s, step.t_s), np.inf)

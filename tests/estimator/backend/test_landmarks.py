@@ -130,6 +130,18 @@ def test_new_outliers_are_removed(flight: Flight) -> None:
     assert not np.isin(landmarks.observed_in(7), [0, 1, 2]).any()
 
 
+@pytest.mark.parametrize(("shifted", "expected"), [(KEYFRAMES - 1, [0, 1, 2]), (KEYFRAMES - 4, [])])
+def test_the_newest_observation_alone_rejects_a_landmark(flight: Flight, shifted: int, expected: list[int]) -> None:
+    """One of twelve observations errs by 12 px: their root mean square is 3.5 px, but the track is lost if it is the
+    newest one.
+    """
+    landmarks = LandmarkDatabase(FOCAL_PX, LandmarkConfig(max_reprojection_px=6.0))
+    for k in range(KEYFRAMES):
+        landmarks.add_observations(k, flight.observations(k, np.array([0.0, 12.0]) if k == shifted else None))
+    assert landmarks.triangulate(flight.cameras(), newest=KEYFRAMES - 1).tolist() == expected
+    assert landmarks.ids.tolist() == [i for i in range(LANDMARKS) if i not in expected]
+
+
 def test_triangulated_outliers_are_removed(flight: Flight) -> None:
     landmarks = flight.database(7)
     landmarks.triangulate(flight.cameras(), newest=6)

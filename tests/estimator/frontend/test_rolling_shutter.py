@@ -236,6 +236,28 @@ def test_matches_of_other_cameras_are_compensated() -> None:
     np.testing.assert_array_equal(compensated.miscalibrated.xy, compensated.matches.xy)
 
 
+@pytest.mark.parametrize("yaw_deg", [25.0, -25.0])
+def test_motion_along_the_axis_of_another_camera_is_compensated(yaw_deg: float) -> None:
+    """The first camera moves sideways, and the second one, which is turned about the same centre, also along its axis.
+
+    The ray r to a landmark moves at a constant rate in the first camera, so that (R r)_xy / (R r)_z is exact.
+    """
+    turned = T_IMU_CAM @ pose_matrix(exp_so3(np.radians([0.0, yaw_deg, 0.0])), O)
+    second = RigCamera(PINHOLE, turned, readout_s=0.03)
+    path, points, times = Path(O, O, R_IMU_CAM @ np.array([2.0, 0.0, 0.0]), O), landmarks(), ExposureCompensation()
+    calibration = Calibration(Rig((GLOBAL, second)))
+    for t_s in (-FRAME_S, 0.0):
+        begin(times, path, t_s)
+        pixels = exposed(path, second, points, t_s)
+        matches = Matches(np.arange(len(points)), np.ones(len(points), np.int64), PINHOLE.normalize(pixels))
+        seen = observations(projected(path, GLOBAL, points, np.full(len(points), t_s)), matches=matches)
+        compensated = times.at_frame_time(seen, calibration)
+    expected = projected(path, second, points, np.zeros(len(points)))
+    found = PINHOLE.project(np.column_stack([compensated.matches.xy, np.ones(len(points))]))
+    assert np.median(np.linalg.norm(pixels - expected, axis=1)) > 1.0
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
 @pytest.mark.parametrize(("offset_s", "delay_s"), [(0.004, 0.0), (0.0, -0.007), (0.004, -0.012)])
 def test_cameras_exposed_one_after_another_are_compensated(offset_s: float, delay_s: float) -> None:
     """The second camera has a time offset of its own, and its images other time stamps than their frames."""

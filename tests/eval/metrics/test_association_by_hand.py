@@ -29,6 +29,19 @@ def test_default_gaps_of_the_associations(association: Association, accepted_ns:
         associate(*halfway(refused_ns), association)
 
 
+@pytest.mark.parametrize(("beyond_ns", "known"), [(0, True), (1_000, True), (1_001, False), (100_000, False)])
+def test_truth_is_not_extrapolated_beyond_a_rounded_stamp(beyond_ns: int, known: bool) -> None:
+    """The truth moves at 1 m/s for a second; estimated poses are before its first and after its last pose."""
+    t_ns = 10**9 + 10**7 * np.arange(101)
+    p, still = np.outer((t_ns - t_ns[0]) * 1e-9, [1.0, 0.0, 0.0]), np.tile([1.0, 0, 0, 0], (101, 1))
+    truth = Trajectory(t_ns, p, still)
+    wanted_ns = np.array([t_ns[0] - beyond_ns, *t_ns[40:43], t_ns[-1] + beyond_ns])
+    true, estimated = associate(truth, Trajectory(wanted_ns, np.zeros((5, 3)), still[:5]))
+    assert estimated.t_ns.tolist() == true.t_ns.tolist() == (wanted_ns if known else wanted_ns[1:-1]).tolist()
+    x_m = [0.0, 0.4, 0.41, 0.42, 1.0] if known else [0.4, 0.41, 0.42]
+    np.testing.assert_array_equal(true.p_world_imu, p[[round(100 * x) for x in x_m]])
+
+
 @pytest.mark.parametrize("association", get_args(Association))
 def test_associations_keep_all_fields_of_an_estimate(association: Association) -> None:
     n = np.arange(4.0)

@@ -7,7 +7,13 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.slam.best_path import UNKNOWN, covariances_of, covariances_with_loops, is_unknown
-from dronevio.estimator.slam.odometry_factors import AbsolutePosition, RelativePose, composed, reversed_pose
+from dronevio.estimator.slam.odometry_factors import (
+    AbsolutePosition,
+    GravityDirection,
+    RelativePose,
+    composed,
+    reversed_pose,
+)
 from dronevio.estimator.slam.pose_graph import PoseGraph
 from dronevio.models.rotation import exp_so3, pose_matrix
 
@@ -112,6 +118,19 @@ def test_prior_on_a_position_is_a_path_of_its_own() -> None:
     np.testing.assert_allclose(found[4][:3, :3], found[3][:3, :3] + 1e-12 * np.eye(3), atol=1e-14)
     assert position(found, 5) == pytest.approx(2.0 * STEP, rel=1e-4)
     assert position(found, 9) == pytest.approx(FIRST + LOOP + STEP, rel=1e-4)  # by the loop, which is a better path
+
+
+def test_directions_of_gravity_are_part_of_a_path() -> None:
+    """Variances add up along the path; a direction of gravity adds its information on roll and pitch, none on yaw."""
+    turn, tilt = 1e-4, 5e-5  # variances of the rotation: added by each step, and of the direction of gravity [rad²]
+    steps = tuple(RelativePose(k, k + 1, pose(1.0), np.diag([turn] * 3 + [STEP] * 3)) for k in range(3))
+    up = GravityDirection(2, np.array([0.0, 0.0, 1.0]), np.sqrt(tilt))
+    graph = replace(chain(4), odometry=steps, gravity=(up,))
+    after = 1.0 / (1.0 / (2.0 * turn) + 1.0 / tilt)
+    expected = {1: [turn] * 3, 2: [after, after, 2.0 * turn], 3: [after + turn, after + turn, 3.0 * turn]}
+    for number, covariance in covariances_of(graph).items():
+        if number:
+            np.testing.assert_allclose(np.diag(covariance)[:3], expected[number], rtol=1e-6)
 
 
 def test_reversed_poses_are_inverse() -> None:

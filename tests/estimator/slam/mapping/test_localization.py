@@ -18,6 +18,7 @@ from dronevio.estimator.slam.localization import (
 from dronevio.estimator.slam.odometry_factors import RelativePose
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import Rig, euroc_rig
+from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix
 
 Array = npt.NDArray[np.float64]
@@ -31,9 +32,9 @@ WALL_M = 3.0
 class Views:
     """Two keyframes that see a wall, of which the first has landmarks on it."""
 
-    def __init__(self, render: RenderWall, T_first_second: Array) -> None:
+    def __init__(self, render: RenderWall, T_first_second: Array, rig: Rig | None = None) -> None:
         """Render both views; the second keyframe has the pose (4, 4) of its IMU in the frame of the first one's."""
-        self.rig: Rig = euroc_rig()
+        self.rig: Rig = rig or euroc_rig()
         camera = self.rig.cameras[0]
         T_world_imu = inverse_pose(camera.T_imu_cam)  # the first camera is the world frame
         Ts = T_world_imu, T_world_imu @ T_first_second
@@ -124,6 +125,55 @@ def test_few_of_the_landmarks_in_view_are_no_place(views: Views) -> None:
     assert half is not None and len(half.observations) > 0.4 * len(whole.observations)
     assert few is not None and 15 <= len(few.observations) < 0.3 * len(whole.observations)
     assert localized(140, LocalizationConfig()) is None
+
+
+def test_patches_far_from_their_predicted_positions_are_not_used(views: Views) -> None:
+    """The prediction turns all patches by about 6 px, which the alignment could correct."""
+    turned = MOTION @ pose_matrix(exp_so3(views.rig.cameras[0].T_imu_cam[:3, :3] @ [0.0, 0.013, 0.0]), np.zeros(3))
+
+    def localized(max_shift_px: float) -> RelativePose | None:
+        config = LocalizationConfig(max_shift_px=max_shift_px)
+        return Localizer(config).localize(views.second, views.images[1], views.first, views.patches, turned)
+
+    found = localized(9.0)
+    assert found is not None and np.linalg.norm((inverse_pose(MOTION) @ found.T_first_second)[:3, 3]) < 2e-3
+    assert localized(5.0) is None
+
+
+@pytest.mark.parametrize("ahead_m", [0.9, -0.9])
+def test_landmarks_from_very_different_distances_are_not_used(render_wall: RenderWall, ahead_m: float) -> None:
+    """The distance from the wall, 3 m, changes to 2.1 or 3.9 m."""
+    rig = rig_named("pinhole")
+    T_imu_cam = rig.cameras[0].T_imu_cam
+    ahead = pose_matrix(np.eye(3), np.array([0.0, 0.0, ahead_m]))
+    T_first_second = T_imu_cam @ ahead @ inverse_pose(T_imu_cam)
+    v = Views(render_wall, T_first_second, rig)
+    ratio = max(WALL_M / (WALL_M - ahead_m), (WALL_M - ahead_m) / WALL_M)
+
+    def localized(max_scale: float) -> RelativePose | None:
+        localizer = Localizer(LocalizationConfig(max_scale=max_scale))
+        return localizer.localize(v.second, v.images[1], v.first, v.patches, T_first_second)
+
+    assert localized(1.01 * ratio) is not None
+    assert localized(0.99 * ratio) is None
+
+
+def test_patches_that_contradict_the_pose_are_counted(views: Views) -> None:
+    """Every fourth landmark is wrong by 2 cm: its patch is aligned 3 px beside its prediction, against the pose."""
+    points = views.patches.points_imu.copy()
+    R_imu_cam, across = views.rig.cameras[0].T_imu_cam[:3, :3], np.zeros((len(points[::4]), 3))
+    across[:, :2] = np.random.default_rng(0).normal(size=(len(across), 2))
+    points[::4] += 0.02 * across / np.linalg.norm(across, axis=1, keepdims=True) @ R_imu_cam.T
+    patches = replace(views.patches, points_imu=points)
+
+    def localized(min_inlier_ratio: float) -> RelativePose | None:
+        localizer = Localizer(LocalizationConfig(min_inlier_ratio=min_inlier_ratio))
+        return localizer.localize(views.second, views.images[1], views.first, patches, MOTION)
+
+    found = localized(0.75)
+    assert found is not None and np.linalg.norm((inverse_pose(MOTION) @ found.T_first_second)[:3, 3]) < 5e-3
+    assert 0.75 * len(points) < len(found.observations) < 0.9 * len(points)
+    assert localized(0.9) is None
 
 
 def test_an_uncertain_pose_is_refused(views: Views) -> None:
