@@ -54,11 +54,12 @@ def test_singular_system_has_no_result(monkeypatch: pytest.MonkeyPatch, adjustme
     [
         ({Scale.IMU: 1.0}, 1.0, [Scale.IMU], "scale by the IMU"),
         ({Scale.IMU: 0.9, Scale.ODOMETRY: 1.0}, 1.0, [Scale.IMU, Scale.ODOMETRY], "scale by the odometry"),
-        ({Scale.ODOMETRY: 1.0}, 5.0, [Scale.ODOMETRY], "scale by the odometry"),
+        ({Scale.IMU: 1.0}, 1.9, [Scale.IMU], "scale by the IMU"),
+        ({Scale.ODOMETRY: 1.0}, 2.1, [Scale.ODOMETRY], "scale by the odometry"),
         ({Scale.ODOMETRY: 0.998}, 5.0, [Scale.ODOMETRY], "scale by the odometry"),
         ({Scale.IMU: 0.9, Scale.ODOMETRY: 0.9}, 1.0, [Scale.IMU, Scale.ODOMETRY], "not used: scale differs by -10 %"),
     ],
-    ids=["agrees", "contradicts", "noisy", "noisy and smaller", "both contradict"],
+    ids=["agrees", "contradicts", "nearly noisy", "noisy", "noisy and smaller", "both contradict"],
 )
 def test_the_scale_has_to_agree_with_the_odometry(
     monkeypatch: pytest.MonkeyPatch,
