@@ -47,7 +47,9 @@ def _camera(number: int, lens: str, rate_hz: float, y: float = 0.0, more: str = 
 
 RIGS = {
     "mono": _camera(0, _LENS, 20.0) + _IMU,
+    "mono-10": _camera(0, _LENS, 10.0) + _IMU,
     "stereo": _camera(0, _LENS, 20.0, 0.055) + _camera(1, _LENS, 20.0, -0.055) + _IMU,
+    "stereo-10": _camera(0, _LENS, 10.0, 0.055) + _camera(1, _LENS, 10.0, -0.055) + _IMU,
     "rolling": _camera(0, _LENS, 20.0, 0.0, "  readout_s: 0.03\n  timeshift_cam_imu: 0.012\n") + _IMU,
     "photographs": _camera(0, _LENS, 2.0) + _IMU,
     "errors": _camera(0, _LENS, 10.0, 0.055)
@@ -88,8 +90,8 @@ _HOP = (
 )
 _AROUND = "--plan.waypoints 0.3 0 0 0.3 0.3 0.2 0 0.3 0"
 _TWICE = (
-    f"--scenario short --plan.rest-s 1.2 --plan.takeoff-s 1 --plan.height-m 0.8 --plan.tour-s 10"
-    f" --plan.landing-s 1.2 --plan.stand-s 0.3 {_AROUND} 0 0 0 {_AROUND.partition(' ')[2]}"
+    "--scenario short --plan.rest-s 1.2 --plan.takeoff-s 1 --plan.height-m 0.8 --plan.tour-s 18 --plan.landing-s 1.2"
+    f" --plan.stand-s 0.3 --plan.heading-scale 0.2 {_AROUND} 0 0 0 {_AROUND.partition(' ')[2]}"
 )
 
 CASES: dict[str, Case] = {
@@ -119,8 +121,8 @@ CASES: dict[str, Case] = {
         ),
     ),
     "eqvio": Case("eqvio"),
-    "slam": Case("slam", Flight(f"{_TWICE} --seed 1", "mono")),
-    "slam-stereo": Case("slam", Flight(f"{_TWICE} --seed 4", "stereo")),
+    "slam": Case("slam", Flight(f"{_TWICE} --seed 1", "mono-10")),
+    "slam-stereo": Case("slam", Flight(f"{_TWICE} --seed 4", "stereo-10")),
     "sfm": Case("sfm", Flight(f"{_HOP} --seed 6 --plan.tour-s 6 {_AROUND}", "photographs")),
     "scores": Case("scores", Flight(f"{_HOP} --seed 3 --plan.tour-s 6 {_AROUND}", "mono")),
     "flight": Case("flight", Flight("--scenario short --seed 1", "mono"), by_each=True),
