@@ -91,7 +91,7 @@ _HOP = (
 _AROUND = "--plan.waypoints 0.3 0 0 0.3 0.3 0.2 0 0.3 0"
 _TWICE = (
     "--scenario short --plan.rest-s 1.2 --plan.takeoff-s 1 --plan.height-m 0.8 --plan.tour-s 18 --plan.landing-s 1.2"
-    f" --plan.stand-s 0.3 --plan.heading-scale 0.2 {_AROUND} 0 0 0 {_AROUND.partition(' ')[2]}"
+    f" --plan.stand-s 0.3 --plan.heading-scale 0 {_AROUND} 0 0 0 {_AROUND.partition(' ')[2]}"
 )
 
 CASES: dict[str, Case] = {
