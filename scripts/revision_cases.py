@@ -146,27 +146,30 @@ CASES: dict[str, Case] = {
     "flight-on-estimate": Case("on-estimate"),
     "environments": Case("environments"),
     "vector-environments": Case("vector-environments"),
+    "vio-environments": Case("vio-environments"),
     "policies": Case("policies"),
 }
 """All cases by name. ``moving`` starts in motion and flies in the dark until the odometry is lost; ``stereo`` loses
 frames, and its stamps jitter; the clock and the mounting of ``rolling`` differ from its calibration."""
 
 _PAIRED = (
-    ("euroc", "room", "--plan.tour-s 8"),
-    ("euroc", "hall", "--plan.tour-s 6"),
-    ("euroc", "corridor", "--plan.tour-s 8"),
-    ("rolling", "room", "--plan.tour-s 8"),
-    ("euroc-stereo", "room", "--plan.tour-s 6"),
-    ("euroc-stereo", "hall", "--plan.tour-s 8"),
-    ("euroc-stereo", "forest", "--plan.tour-s 6"),
-    ("fisheye-stereo", "warehouse", "--plan.tour-s 6"),
+    ("euroc", "room"),
+    ("mono", "hall"),
+    ("mono", "corridor"),
+    ("rolling", "room"),
+    ("euroc-stereo", "room"),
+    ("stereo", "hall"),
+    ("stereo", "forest"),
+    ("stereo", "warehouse"),
 )
-PAIRED_SEEDS = range(4)
+_PAIRED_SEEDS = range(4)
 
 
 def paired_flights() -> list[tuple[str, Flight]]:
     """Return the flights of the paired comparison with their names: eight rigs and worlds, each with four seeds."""
-    return [
-        (f"{rig} {world} {seed}", Flight(f"{_HOP} --rig {rig} --world {world} --seed {seed} {tour} {_AROUND}"))
-        for (rig, world, tour), seed in product(_PAIRED, PAIRED_SEEDS)
-    ]
+    flights = []
+    for (rig, world), seed in product(_PAIRED, _PAIRED_SEEDS):
+        options = f"{_HOP} --world {world} --seed {seed} --plan.tour-s 6 {_AROUND}"
+        flight = Flight(options, rig) if rig in RIGS else Flight(f"{options} --rig {rig}")
+        flights.append((f"{rig} {world} {seed}", flight))
+    return flights

@@ -200,26 +200,30 @@ def on_estimate() -> Arrays:
         return flight(Path(scratch) / "flight") | estimate_arrays(run.estimates)
 
 
-def environments(*, vector: bool) -> Arrays:
-    """Return rollouts of random actions in all registered environments, one by one or three together."""
+def environments(*, vector: bool = False, on_estimate: bool = False, steps: int = 200) -> Arrays:
+    """Return rollouts of random actions in all registered environments.
+
+    Args:
+        vector: Whether three of each are stepped together, with randomized vehicles and sensors.
+        on_estimate: Whether to use the environments that are flown on an estimate, and only these.
+        steps: Number of steps.
+    """
     import gymnasium
 
     importlib.import_module("dronevio.envs")
     arrays: Arrays = {}
     for name, spec in sorted(gymnasium.registry.items()):
-        if not name.startswith("dronevio/") or (vector and spec.vector_entry_point is None):
+        if not name.startswith("dronevio/") or on_estimate != (spec.vector_entry_point is None):
             continue
         if vector:
             env: Any = gymnasium.make_vec(name, num_envs=3, randomization=found("MODERATE"), max_episode_steps=40)
         else:
             env = gymnasium.make(name)
         try:
-            arrays |= {
-                f"{name.partition('/')[2]} {key}": values
-                for key, values in stacked(rollout(env, 100, vector=vector)).items()
-            }
+            values = stacked(rollout(env, steps, vector=vector))
         finally:
             env.close()
+        arrays |= {f"{name.partition('/')[2]} {key}": array for key, array in values.items()}
     return arrays
 
 
@@ -256,7 +260,9 @@ def policies(code: Path) -> Arrays:
     """Return the results of the policies in the repository."""
     arrays: Arrays = {}
     for file in sorted(code.glob("examples/rl/policies/*.safetensors")):
-        arrays |= flattened(file.stem, found("evaluate_policy")(found("load_policy")(file), episodes=4, seed=1))
+        arrays |= flattened(
+            file.stem, found("evaluate_policy")(found("load_policy")(file), 3, 1, max_episode_steps=500)
+        )
     return arrays
 
 
@@ -394,8 +400,9 @@ COMPUTATIONS: dict[str, Callable[[list[Path], Path], Arrays]] = {
     "scores": lambda paths, code: scores(paths[0]),
     "flight": lambda paths, code: flight(paths[0]),
     "on-estimate": lambda paths, code: on_estimate(),
-    "environments": lambda paths, code: environments(vector=False),
+    "environments": lambda paths, code: environments(),
     "vector-environments": lambda paths, code: environments(vector=True),
+    "vio-environments": lambda paths, code: environments(on_estimate=True, steps=80),
     "policies": lambda paths, code: policies(code),
     "ate": lambda paths, code: ates(paths),
 }
