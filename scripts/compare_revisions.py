@@ -202,25 +202,33 @@ def recording_of(base: Revision, flight: Flight, work: Path) -> Path:
 
 def compute(revision: Revision, base: Revision, case: Case, work: Path, out: Path) -> None:
     """Compute the quantities of a case with a revision, and write them into a file."""
-    with tempfile.TemporaryDirectory(dir=made(work / "scratch")) as name:
-        scratch = Path(name)
+    with tempfile.TemporaryDirectory(dir=made(work / "scratch")) as scratch:
         paths: list[Path] = []
         if case.flight is not None and case.by_each:
-            paths = [scratch / "flight"]
+            paths = [Path(scratch) / "flight"]
             fly(revision, case.flight, paths[0])
         elif case.flight is not None:
             paths = [recording_of(base, case.flight, work)]
-        revision.run(PROBE, case.probe, *paths, "--code", revision.code, "--out", scratch / "result.npz")
-        made(out.parent)
-        (scratch / "result.npz").replace(out)
+        probe(revision, case.probe, paths, out)
+
+
+def probe(revision: Revision, what: str, paths: Sequence[Path], out: Path) -> None:
+    """Run the probe inside a revision; its file appears when it is complete."""
+    part = made(out.parent) / f"part-{os.getpid()}-{out.name}"
+    print(revision.run(PROBE, what, *paths, "--code", revision.code, "--out", part), end="", file=sys.stderr)
+    part.replace(out)
+
+
+def file_of(base: Revision, name: str, work: Path, *contents: str) -> Path:
+    """Return the file for results of the base, which depend on the probe, the packages and some more contents."""
+    versions = " ".join(f"{package} {importlib.metadata.version(package)}" for package in PACKAGES)
+    return work / "results" / base.name / f"{name}-{short_hash(PROBE.read_text(), *contents, versions)}.npz"
 
 
 def kept_result(base: Revision, name: str, work: Path) -> Path:
     """Return the file of the base's results, which are computed where they are missing."""
     case = CASES[name]
-    versions = " ".join(f"{package} {importlib.metadata.version(package)}" for package in PACKAGES)
-    rig = RIGS.get(case.flight.rig, "") if case.flight else ""
-    file = work / "results" / base.name / f"{name}-{short_hash(PROBE.read_text(), repr(case), rig, versions)}.npz"
+    file = file_of(base, name, work, repr(case), RIGS.get(case.flight.rig, "") if case.flight else "")
     if not file.exists():
         compute(base, base, case, work, file)
     return file
@@ -277,7 +285,7 @@ def compare(command: CompareRevisions, base: Revision, head: Revision, work: Pat
     for name in command.only:
         print(f"{name}: running", file=sys.stderr)
         kept = kept_result(base, name, work)
-        fresh = work / "heads" / f"{head.name}-{short_hash(str(REPOSITORY))}" / f"{name}.npz"
+        fresh = head_file(head, name, work)
         started = time.perf_counter()
         compute(head, base, CASES[name], work, fresh)
         of_case = differences(name, loaded(kept), loaded(fresh))
@@ -295,7 +303,12 @@ def compare_errors(command: CompareRevisions, base: Revision, head: Revision, wo
     flights = paired_flights()
     names = [name for name, _ in flights]
     recordings = [recording_of(base, flight, work) for _, flight in flights]
-    a, b = (errors_of(revision, recordings, work) for revision in (base, head))
+    kept = file_of(base, "ate", work, *(recording.name for recording in recordings))
+    if not kept.exists():
+        probe(base, "ate", recordings, kept)
+    fresh = head_file(head, "ate", work)
+    probe(head, "ate", recordings, fresh)
+    a, b = loaded(kept), loaded(fresh)
     ratios = paired_ratios(a, b)
     mean, bound = mean_ratio(ratios)
     rows = [
@@ -312,12 +325,9 @@ def compare_errors(command: CompareRevisions, base: Revision, head: Revision, wo
     return int(not bound <= MAX_RATIO)
 
 
-def errors_of(revision: Revision, recordings: Sequence[Path], work: Path) -> Arrays:
-    """Return the errors and the numbers of poses of a revision on recordings."""
-    with tempfile.TemporaryDirectory(dir=made(work / "scratch")) as scratch:
-        out = Path(scratch) / "ate.npz"
-        print(revision.run(PROBE, "ate", *recordings, "--code", revision.code, "--out", out), end="", file=sys.stderr)
-        return loaded(out)
+def head_file(head: Revision, name: str, work: Path) -> Path:
+    """Return the file for results of the other revision."""
+    return work / "heads" / f"{head.name}-{short_hash(str(REPOSITORY))}" / f"{name}.npz"
 
 
 def report(

@@ -244,11 +244,12 @@ def test_identical_quantities_are_one_row(compare: Any, apart: Any) -> None:
 def test_a_larger_error_fails(
     compare: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ratio: float, code: int
 ) -> None:
-    def errors_of(revision: Any, recordings: list[Path], work: Path) -> Any:
-        factor = 1.0 if revision.name == "base" else ratio
-        return {"ATE [m]": np.full(len(recordings), 0.02 * factor), "poses": np.full(len(recordings), 90.0)}
+    def probe(revision: Any, what: str, paths: list[Path], out: Path) -> None:
+        errors = np.full(len(paths), 0.02 if revision.name == "base" else 0.02 * ratio)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(out, **{"ATE [m]": errors, "poses": np.full(len(paths), 90.0)})
 
-    monkeypatch.setattr(compare, "errors_of", errors_of)
+    monkeypatch.setattr(compare, "probe", probe)
     monkeypatch.setattr(compare, "recording_of", lambda base, flight, work: tmp_path)
     base, head = (compare.Revision(name, tmp_path) for name in ("base", "head"))
     command = compare.CompareRevisions("base", "head", work=tmp_path, markdown=tmp_path / "table.md")
