@@ -89,9 +89,10 @@ _HOP = (
     " --plan.landing-s 1.2 --plan.stand-s 0.3"
 )
 _AROUND = "--plan.waypoints 0.3 0 0 0.3 0.3 0.2 0 0.3 0"
-_TWICE = (
-    "--scenario short --plan.rest-s 1.2 --plan.takeoff-s 1 --plan.height-m 0.8 --plan.tour-s 18 --plan.landing-s 1.2"
-    f" --plan.stand-s 0.3 --plan.heading-scale 0 {_AROUND} 0 0 0 {_AROUND.partition(' ')[2]}"
+_LAP = "0.55 0 0 0.55 0.5 0.3 0 0.5 0"
+_LAPS = (
+    "--scenario short --plan.rest-s 1.2 --plan.takeoff-s 1 --plan.height-m 0.8 --plan.tour-s 22 --plan.landing-s 1.2"
+    f" --plan.stand-s 0.3 --plan.heading-scale 0 --plan.waypoints {_LAP} 0 0 0 {_LAP}"
 )
 
 CASES: dict[str, Case] = {
@@ -121,8 +122,8 @@ CASES: dict[str, Case] = {
         ),
     ),
     "eqvio": Case("eqvio"),
-    "slam": Case("slam", Flight(f"{_TWICE} --seed 1", "mono-10")),
-    "slam-stereo": Case("slam", Flight(f"{_TWICE} --seed 4", "stereo-10")),
+    "slam": Case("slam", Flight(f"{_LAPS} --seed 1", "mono-10")),
+    "slam-stereo": Case("slam", Flight(f"{_LAPS} --seed 4", "stereo-10")),
     "sfm": Case("sfm", Flight(f"{_HOP} --seed 6 --plan.tour-s 6 {_AROUND}", "photographs")),
     "scores": Case("scores", Flight(f"{_HOP} --seed 3 --plan.tour-s 6 {_AROUND}", "mono")),
     "flight": Case("flight", Flight("--scenario short --seed 1", "mono"), by_each=True),
@@ -150,7 +151,8 @@ CASES: dict[str, Case] = {
     "policies": Case("policies"),
 }
 """All cases by name. ``moving`` starts in motion and flies in the dark until the odometry is lost; ``stereo`` loses
-frames, and its stamps jitter; the clock and the mounting of ``rolling`` differ from its calibration."""
+frames, and its stamps jitter; the clock and the mounting of ``rolling`` differ from its calibration; ``slam`` flies
+two laps with one heading, whose places are recognized."""
 
 _PAIRED = (
     ("euroc", "room"),
