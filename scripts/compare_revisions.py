@@ -1,16 +1,21 @@
-"""Whether two revisions compute the same: estimates on four recordings, and one simulated flight, to the bit.
+"""Whether two revisions compute the same, to the bit; or, where arithmetic changes, whether accuracy stays the same.
 
-Both revisions run on this machine with this environment's packages, on one thread. The base revision flies three
-recordings once (one camera, two cameras, a rolling shutter); the fourth is the real flight whose features come with
-the gtsam package. The flight of the comparison is flown by each revision itself. What the base computes is kept in the
-work folder and computed again only when the recordings, the probe or the packages change::
+Both revisions run on this machine with this environment's packages, on one thread. Each case of `CASES` compares what
+the revisions compute: estimates on recordings that the base flies once, or flights, environments and policies that each
+revision simulates itself. What the base computes is kept in the work folder and computed again only when the recording,
+the probe or the packages change::
 
     python scripts/compare_revisions.py BASE --work FOLDER                       # BASE against HEAD
     python scripts/compare_revisions.py BASE . --work FOLDER --only mono eqvio   # the working tree as it stands
     python scripts/compare_revisions.py BASE BASE --work FOLDER                  # whether results are reproducible
+    python scripts/compare_revisions.py BASE . --work FOLDER --paired            # the accuracy of the odometry
 
-The exit code is 1 where a quantity differs by more than the tolerance. `revision_probe.py` lists the names that it
-imports, and `OPTIONS` the options of the command line that are used here, with all of their spellings.
+The exit code is 1 where a quantity differs: in any bit, or by more than the tolerance if one is given. With
+``--paired``, both revisions estimate 32 short flights of the base, with one camera and with two. The exit code is 1
+where the upper 95 % bound (one-sided, Student's t on the logarithms) of the geometric mean of the ratios of their
+absolute trajectory errors, new to base, exceeds 1.02. A flight that only the new revision loses counts as infinitely
+bad; one that the base loses has a ratio of 1. `revision_probe.py` lists the names that it imports, and
+`OPTIONS` the options of the command line that are used here, with all of their spellings.
 """
 
 import hashlib
@@ -26,25 +31,26 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 import tyro
 from markdown_tables import table
-from revision_differences import ABSENT, Arrays, Difference, differences
-from revision_probe import VERSION
+from revision_cases import CASES, RIGS, Case, Flight, paired_flights
+from revision_differences import ABSENT, Arrays, Difference, differences, mean_ratio, paired_ratios
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-
-Subject = Literal["mono", "stereo", "rolling", "eqvio", "flight"]
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PROBE = Path(__file__).with_name("revision_probe.py")
 WORKING_TREE = "."
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "LP_NUM_THREADS"), "1")
 _ISOLATED = {"PYTHONSAFEPATH": "1", "COLUMNS": "200"}  # no current folder among the imports; options are not wrapped
+MAX_RATIO = 1.02
+"""Largest upper bound of the mean ratio of errors that passes."""
 PACKAGES = ("numpy", "scipy", "gtsam", "opencv-python-headless", "mujoco")
 
 OPTIONS: dict[str, tuple[str, ...]] = {
@@ -52,92 +58,6 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "--plan.stand-s": ("--plan.final-rest-s", "--plan.stand-s"),
 }
 """Spellings that an option of ``dronevio fly`` or ``estimate`` has in some revision, where there are several."""
-
-RIGS: dict[Subject, str] = {
-    "rolling": """\
-cam0:
-  camera_model: pinhole
-  intrinsics: [458.654, 457.296, 367.215, 248.375]
-  distortion_model: radtan
-  distortion_coeffs: [-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05]
-  resolution: [752, 480]
-  T_cam_imu:
-  - [0.0, -1.0, 0.0, 0.0]
-  - [0.0, 0.0, -1.0, 0.0]
-  - [1.0, 0.0, 0.0, -0.05]
-  - [0.0, 0.0, 0.0, 1.0]
-  timeshift_cam_imu: 0.012
-  rate_hz: 20.0
-  readout_s: 0.03
-imu0:
-  update_rate: 200.0
-  gyroscope_noise_density: 0.00016968
-  gyroscope_random_walk: 1.9393e-05
-  accelerometer_noise_density: 0.002
-  accelerometer_random_walk: 0.003
-""",
-    "flight": """\
-cam0:
-  camera_model: pinhole
-  intrinsics: [229.327, 228.648, 183.61, 124.19]
-  distortion_model: radtan
-  distortion_coeffs: [-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05]
-  resolution: [376, 240]
-  T_cam_imu:
-  - [0.0, -1.0, 0.0, 0.055]
-  - [0.0, 0.0, -1.0, 0.0]
-  - [1.0, 0.0, 0.0, -0.05]
-  - [0.0, 0.0, 0.0, 1.0]
-  rate_hz: 20.0
-cam1:
-  camera_model: pinhole
-  intrinsics: [190.0, 190.0, 187.5, 119.5]
-  distortion_model: equidistant
-  distortion_coeffs: [0.0035, 0.0007, -0.0020, 0.0002]
-  resolution: [376, 240]
-  T_cam_imu:
-  - [0.0, -1.0, 0.0, -0.055]
-  - [0.0, 0.0, -1.0, 0.0]
-  - [1.0, 0.0, 0.0, -0.05]
-  - [0.0, 0.0, 0.0, 1.0]
-  rate_hz: 20.0
-  readout_s: 0.015
-imu0:
-  update_rate: 200.0
-  gyroscope_noise_density: 0.00016968
-  gyroscope_random_walk: 1.9393e-05
-  gyro_bias_instability_rad_s: 7.0e-05
-  gyro_scale_error: 0.005
-  gyro_misalignment_rad: 0.0009
-  gyro_g_sensitivity_rad_s_per_m_s2: 2.0e-05
-  gyro_range_rad_s: 17.0
-  gyro_bandwidth_hz: 330.0
-  accelerometer_noise_density: 0.002
-  accelerometer_random_walk: 0.003
-  accel_bias_instability_m_s2: 0.002
-  accel_scale_error: 0.005
-  accel_misalignment_rad: 0.0009
-  accel_range_m_s2: 170.0
-  accel_bandwidth_hz: 330.0
-""",
-}
-"""Rigs as Kalibr writes them. The rolling shutter has a readout of 30 ms and a time offset of 12 ms. The IMU of the
-flight has every error of the model except the resolution, whose rounding would hide small changes of the others."""
-
-FLIGHTS: dict[Subject, str] = {
-    "mono": "--scenario room-medium --seed 3 --plan.skip-s 3 --plan.tour-s 17"
-    " --faults.dark-from-s 4 --faults.dark-for-s 10.5",
-    "stereo": "--scenario hall-medium --seed 2 --rig euroc-stereo --plan.shape figure-8 --plan.laps 1"
-    " --plan.rest-s 1 --plan.tour-s 6 --plan.landing-s 1.5 --plan.stand-s 0.5"
-    " --faults.dropped-frames 0.1 --faults.stamp-jitter-s 0.0005",
-    "rolling": "--scenario room-figure-8 --seed 5 --rig {rig} --plan.laps 1"
-    " --plan.rest-s 1 --plan.tour-s 6 --plan.landing-s 1.5 --plan.stand-s 0.5"
-    " --faults.hidden-time-offset-s 0.006 --faults.hidden-tilt-rad 0.015",
-    "flight": "--scenario short --seed 1 --rig {rig} --wind.mean-m-s 2 0 0 --wind.gusts 1"
-    " --faults.dropped-frames 0.3 --truth-images depth",
-}
-"""What is flown. Mono starts in motion and flies in the dark until the odometry is lost; stereo loses frames, and its
-stamps jitter; the rolling shutter's clock and mounting differ from its calibration; the flight has wind and depth."""
 
 
 @dataclass(frozen=True)
@@ -150,10 +70,12 @@ class CompareRevisions:
     """The revision to compare with it; a dot is the working tree with all of its uncommitted changes."""
     work: Path = tyro.MISSING
     """Folder outside the repository for exported code, recordings and results."""
-    only: tuple[Subject, ...] = ("mono", "stereo", "rolling", "eqvio", "flight")
-    """What to compare: some of the recordings, or the flight."""
+    only: tuple[str, ...] = tuple(CASES)
+    """Cases to compare; all by default."""
+    paired: bool = False
+    """Compare the accuracy of the odometry on many flights instead of the cases."""
     tolerance: float = 0.0
-    """Largest difference that passes, in the unit of each quantity; 0 requires equal numbers."""
+    """Largest difference that passes, in the unit of each quantity; 0 requires the same bits."""
     markdown: Path | None = None
     """File for the table in Markdown."""
 
@@ -173,25 +95,25 @@ class Revision:
         Raises:
             SystemExit: The process failed.
         """
-        environment = {
-            **os.environ,
-            **ONE_THREAD,
-            "PYTHONPATH": str(self.code),
-            "PYTHONSAFEPATH": "1",
-            "COLUMNS": "200",
-        }
+        environment = {**os.environ, **ONE_THREAD, **_ISOLATED, "PYTHONPATH": str(self.code)}
         command = [sys.executable, *map(str, arguments)]
         done = subprocess.run(command, env=environment, cwd=self.code, capture_output=True, text=True, check=False)
         if done.returncode:
             raise SystemExit(f"{self.name}: {' '.join(command)} failed\n{done.stdout[-2000:]}{done.stderr[-4000:]}")
         return done.stdout
 
-    def dronevio(self, command: str, *arguments: str | Path) -> str:
+    def dronevio(self, command: str, *arguments: str | Path) -> None:
         """Run a ``dronevio`` command of the revision, its options spelled as this revision spells them."""
+        known = self.options(command)
+        self.run("-m", "dronevio.cli", command, *(spelled(str(word), known) for word in arguments))
+
+    @cache  # noqa: B019 there are two revisions
+    def options(self, command: str) -> str:
+        """Return the help text with all options of a command."""
         known = self.run("-m", "dronevio.cli", command, "--help")
-        if "--help-all" in known:  # earlier revisions print all options with --help
-            known = self.run("-m", "dronevio.cli", command, "--help-all")
-        return self.run("-m", "dronevio.cli", command, *(spelled(str(word), known) for word in arguments))
+        if "--help-all" not in known:  # earlier revisions print all options with --help
+            return known
+        return self.run("-m", "dronevio.cli", command, "--help-all")
 
 
 def spelled(word: str, known: str) -> str:
@@ -257,59 +179,58 @@ def made(folder: Path) -> Path:
     return folder
 
 
-def fly(revision: Revision, subject: Subject, out: Path) -> None:
+def fly(revision: Revision, flight: Flight, out: Path) -> None:
     """Fly a recording with a revision."""
     with tempfile.TemporaryDirectory() as scratch:
-        rig = Path(scratch) / "camchain.yaml"
-        rig.write_text(RIGS.get(subject, ""), encoding="utf-8")
-        words = [word.format(rig=rig) for word in FLIGHTS[subject].split()]
+        words = flight.options.split()
+        if flight.rig:
+            rig = Path(scratch) / "camchain.yaml"
+            rig.write_text(RIGS[flight.rig], encoding="utf-8")
+            words += ["--rig", str(rig)]
         revision.dronevio("fly", *words, "--out", out, "--overwrite", "--json")
 
 
-def recording_of(base: Revision, subject: Subject, work: Path) -> Path:
+def recording_of(base: Revision, flight: Flight, work: Path) -> Path:
     """Return a recording, which the base revision flies where it is missing."""
-    key = short_hash(FLIGHTS[subject], RIGS.get(subject, ""))
-    folder = made(work / "recordings") / f"{base.name}-{subject}-{key}"
+    folder = made(work / "recordings") / f"{base.name}-{short_hash(flight.options, RIGS.get(flight.rig, ''))}"
     if not folder.exists():
-        fly(base, subject, folder)
+        with tempfile.TemporaryDirectory(dir=made(work / "scratch")) as scratch:  # it appears when it is complete
+            fly(base, flight, Path(scratch) / folder.name)
+            (Path(scratch) / folder.name).rename(folder)
     return folder
 
 
-def compute(revision: Revision, base: Revision, subject: Subject, work: Path, out: Path) -> None:
-    """Compute the quantities of a subject with a revision, and write them into a file."""
-    with tempfile.TemporaryDirectory(dir=made(work / "scratch")) as name:
-        scratch = Path(name)
-        probe = ("--code", revision.code, "--out", scratch / "result.npz")
-        if subject == "flight":
-            fly(revision, subject, scratch / "flight")
-            revision.run(PROBE, "flight", scratch / "flight", *probe)
-        elif subject == "eqvio":
-            revision.run(PROBE, "eqvio", *probe)
-        else:
-            recording = recording_of(base, subject, work)
-            revision.run(PROBE, "estimate", recording, *probe)
-            if subject == "stereo":
-                add_imu_rate(revision, recording, scratch)
-        made(out.parent)
-        (scratch / "result.npz").replace(out)
+def compute(revision: Revision, base: Revision, case: Case, work: Path, out: Path) -> None:
+    """Compute the quantities of a case with a revision, and write them into a file."""
+    with tempfile.TemporaryDirectory(dir=made(work / "scratch")) as scratch:
+        paths: list[Path] = []
+        if case.flight is not None and case.by_each:
+            paths = [Path(scratch) / "flight"]
+            fly(revision, case.flight, paths[0])
+        elif case.flight is not None:
+            paths = [recording_of(base, case.flight, work)]
+        probe(revision, case.probe, paths, out)
 
 
-def add_imu_rate(revision: Revision, recording: Path, scratch: Path) -> None:
-    """Add what ``dronevio estimate --imu-rate`` writes to the results of a recording."""
-    tum = scratch / "imu-rate.tum"
-    revision.dronevio("estimate", recording, "--out", scratch / "estimate.tum", "--imu-rate", tum, "--json")
-    revision.run(PROBE, "trajectory", tum, "--code", revision.code, "--out", scratch / "imu-rate.npz")
-    arrays = {**loaded(scratch / "imu-rate.npz"), **loaded(scratch / "result.npz")}
-    np.savez_compressed(scratch / "result.npz", **arrays)  # type: ignore[arg-type]
+def probe(revision: Revision, what: str, paths: Sequence[Path], out: Path) -> None:
+    """Run the probe inside a revision; its file appears when it is complete."""
+    part = made(out.parent) / f"part-{os.getpid()}-{out.name}"
+    print(revision.run(PROBE, what, *paths, "--code", revision.code, "--out", part), end="", file=sys.stderr)
+    part.replace(out)
 
 
-def kept_result(base: Revision, subject: Subject, work: Path) -> Path:
-    """Return the file of the base's results, which are computed where they are missing."""
+def file_of(base: Revision, name: str, work: Path, *contents: str) -> Path:
+    """Return the file for results of the base, which depend on the probe, the packages and some more contents."""
     versions = " ".join(f"{package} {importlib.metadata.version(package)}" for package in PACKAGES)
-    key = short_hash(str(VERSION), FLIGHTS.get(subject, ""), RIGS.get(subject, ""), versions)
-    file = work / "results" / base.name / f"{subject}-{key}.npz"
+    return work / "results" / base.name / f"{name}-{short_hash(PROBE.read_text(), *contents, versions)}.npz"
+
+
+def kept_result(base: Revision, name: str, work: Path) -> Path:
+    """Return the file of the base's results, which are computed where they are missing."""
+    case = CASES[name]
+    file = file_of(base, name, work, repr(case), RIGS.get(case.flight.rig, "") if case.flight else "")
     if not file.exists():
-        compute(base, base, subject, work, file)
+        compute(base, base, case, work, file)
     return file
 
 
@@ -337,42 +258,82 @@ def cells(difference: Difference, tolerance: float) -> list[str]:
     return [difference.recording, difference.quantity, *hashes, verdict]
 
 
-def counted(base: Arrays, head: Arrays) -> str:
-    """Return in how many frames either revision has a state; nothing of a flight."""
-    if "has state" not in base or "has state" not in head:
-        return ""
-    counts = [f"{int(arrays['has state'].sum())} of {len(arrays['has state'])}" for arrays in (base, head)]
-    return f"frames with a state {counts[0]} and {counts[1]}; "
+def summary(name: str, found: Sequence[Difference], tolerance: float) -> list[list[str]]:
+    """Return the rows of a case: one for all of its quantities that are identical, and one for each other quantity."""
+    same = [d for d in found if d.identical]
+    hashes = [short_hash(*(getattr(d, side) for d in same)) for side in ("base_hash", "head_hash")]
+    rows = [[name, f"{len(same)} quantities", *hashes, "identical"]] if same else []
+    return rows + [cells(d, tolerance) for d in found if not d.identical]
 
 
 def main(command: CompareRevisions) -> int:
-    """Compare, print and write the table; 1 if a quantity differs by more than the tolerance."""
+    """Compare, print and write the table; 1 if a quantity, or the accuracy, differs by too much."""
+    if unknown := [name for name in command.only if name not in CASES]:
+        raise SystemExit(f"--only {' '.join(unknown)}; expected some of {', '.join(CASES)}")
     work = command.work.resolve()
     if work.is_relative_to(REPOSITORY):
         raise SystemExit(f"--work {command.work}; expected a folder outside {REPOSITORY}")
     base, head = revision_of(command.base, work), revision_of(command.head, work)
+    return compare_errors(command, base, head, work) if command.paired else compare(command, base, head, work)
+
+
+def compare(command: CompareRevisions, base: Revision, head: Revision, work: Path) -> int:
+    """Compare the quantities of all cases; 1 if one differs by more than the tolerance."""
     found: list[Difference] = []
+    rows: list[list[str]] = []
     lines: list[str] = []
-    for subject in command.only:
-        print(f"{subject}: running", file=sys.stderr)
-        kept = kept_result(base, subject, work)
-        fresh = work / "heads" / f"{head.name}-{short_hash(str(REPOSITORY))}" / f"{subject}.npz"
+    for name in command.only:
+        print(f"{name}: running", file=sys.stderr)
+        kept = kept_result(base, name, work)
+        fresh = head_file(head, name, work)
         started = time.perf_counter()
-        compute(head, base, subject, work, fresh)
-        arrays = loaded(kept), loaded(fresh)
-        found += differences(subject, *arrays)
-        lines.append(f"{subject}: {counted(*arrays)}{head.name} took {time.perf_counter() - started:.0f} s")
+        compute(head, base, CASES[name], work, fresh)
+        of_case = differences(name, loaded(kept), loaded(fresh))
+        found += of_case
+        rows += summary(name, of_case, command.tolerance)
+        lines.append(f"{name}: {head.name} took {time.perf_counter() - started:.0f} s")
     failed = [difference for difference in found if not difference.within(command.tolerance)]
     lines.append(f"{len(found) - len(failed)} of {len(found)} quantities agree within {command.tolerance:g}")
-    report(command, base, head, [cells(difference, command.tolerance) for difference in found], lines)
+    report(command, ("case", "quantity", base.name, head.name, "largest difference"), rows, lines)
     return int(bool(failed))
 
 
+def compare_errors(command: CompareRevisions, base: Revision, head: Revision, work: Path) -> int:
+    """Compare the errors of the odometry on many flights; 1 if the bound of their ratio exceeds `MAX_RATIO`."""
+    flights = paired_flights()
+    names = [name for name, _ in flights]
+    recordings = [recording_of(base, flight, work) for _, flight in flights]
+    kept = file_of(base, "ate", work, *(recording.name for recording in recordings))
+    if not kept.exists():
+        probe(base, "ate", recordings, kept)
+    fresh = head_file(head, "ate", work)
+    probe(head, "ate", recordings, fresh)
+    a, b = loaded(kept), loaded(fresh)
+    ratios = paired_ratios(a, b)
+    mean, bound = mean_ratio(ratios)
+    rows = [
+        [name, *(f"{1e3 * arrays['ATE [m]'][i]:.3f}" for arrays in (a, b)), f"{ratios[i]:.4f}"]
+        for i, name in enumerate(names)
+    ]
+    verdict = "passes" if bound <= MAX_RATIO else "FAILS"
+    lost = int(np.isnan(a["ATE [m]"]).sum()), int(np.isinf(ratios).sum())
+    lines = [
+        f"{len(ratios)} flights; lost by the base {lost[0]}, by the other revision alone {lost[1]}",
+        f"mean ratio {mean:.4f}, upper 95 % bound {bound:.4f}, allowed {MAX_RATIO}: {verdict}",
+    ]
+    report(command, ("flight", f"{base.name} ATE [mm]", f"{head.name} ATE [mm]", "ratio"), rows, lines)
+    return int(not bound <= MAX_RATIO)
+
+
+def head_file(head: Revision, name: str, work: Path) -> Path:
+    """Return the file for results of the other revision."""
+    return work / "heads" / f"{head.name}-{short_hash(str(REPOSITORY))}" / f"{name}.npz"
+
+
 def report(
-    command: CompareRevisions, base: Revision, head: Revision, rows: Sequence[Sequence[str]], lines: Sequence[str]
+    command: CompareRevisions, headings: Sequence[str], rows: Sequence[Sequence[str]], lines: Sequence[str]
 ) -> None:
     """Print the table, and write it as Markdown where that is asked for."""
-    headings = ("recording", "quantity", base.name, head.name, "largest difference")
     shown = Table(*headings)
     for row in rows:
         shown.add_row(*map(escape, row), style="red" if row[-1].startswith("DIFFERS") else None)
@@ -380,7 +341,7 @@ def report(
     console.print(shown)
     console.print("\n".join(lines), markup=False, highlight=False)
     if command.markdown is not None:
-        text = "\n".join([table(headings, rows, left=4), "", *(f"- {line}" for line in lines), ""])
+        text = "\n".join([table(headings, rows, left=len(headings) - 1), "", *(f"- {line}" for line in lines), ""])
         command.markdown.write_text(text, encoding="utf-8")
 
 

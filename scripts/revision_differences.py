@@ -1,4 +1,4 @@
-"""How far the results of two revisions are apart: hashes of arrays, and the largest difference of each quantity."""
+"""How far the results of two revisions are apart: the largest difference of each quantity, and ratios of errors."""
 
 import hashlib
 import math
@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import stats
 
 Array = npt.NDArray[np.float64]
 Arrays = Mapping[str, npt.NDArray[Any]]
@@ -34,7 +35,7 @@ class Difference:
     """Largest difference where both have a value: absolute in the unit of the quantity, relative for covariances, the
     number of entries that differ for whole numbers and words; infinite where the shapes differ."""
     unmatched: int
-    """Number of rows in which only one revision has a value."""
+    """Number of rows in which one revision has a value where the other has none."""
 
     @property
     def identical(self) -> bool:
@@ -42,8 +43,8 @@ class Difference:
         return self.base_hash == self.head_hash
 
     def within(self, tolerance: float) -> bool:
-        """Return whether the arrays agree up to a tolerance, with values in the same rows."""
-        return self.identical or (self.largest <= tolerance and not self.unmatched)
+        """Return whether the arrays agree up to a tolerance, with values in the same rows; to the bit if it is 0."""
+        return self.identical or (tolerance > 0.0 and self.largest <= tolerance and not self.unmatched)
 
 
 def differences(recording: str, base: Arrays, head: Arrays) -> list[Difference]:
@@ -59,9 +60,10 @@ def difference(recording: str, name: str, a: npt.NDArray[Any] | None, b: npt.NDA
         return Difference(recording, name, *hashes, math.inf, 0)
     if a.dtype.kind != "f" or b.dtype.kind != "f":
         return Difference(recording, name, *hashes, float(np.count_nonzero(a != b)), 0)
-    known_a, known_b = (~np.isnan(values).any(axis=tuple(range(1, values.ndim))) for values in (a, b))
-    both = known_a & known_b
-    return Difference(recording, name, *hashes, largest(name, a[both], b[both]), int((known_a ^ known_b).sum()))
+    a, b = np.atleast_1d(a), np.atleast_1d(b)
+    same = (np.isnan(a) == np.isnan(b)).all(axis=tuple(range(1, a.ndim)))
+    distance = largest(name, np.nan_to_num(a[same], nan=0.0), np.nan_to_num(b[same], nan=0.0))
+    return Difference(recording, name, *hashes, distance, int((~same).sum()))
 
 
 def array_hash(values: npt.NDArray[Any] | None) -> str:
@@ -72,8 +74,8 @@ def array_hash(values: npt.NDArray[Any] | None) -> str:
 
 
 def largest(name: str, a: Array, b: Array) -> float:
-    """Return the largest difference of a quantity's arrays (N, ...) without NaN; 0 for N = 0."""
-    if not len(a):
+    """Return the largest difference of a quantity's arrays (N, ...) without NaN; 0 without entries."""
+    if not a.size:
         return 0.0
     if name.startswith("rotation"):
         return float(rotation_angles(a, b).max())
@@ -97,3 +99,29 @@ def relative_differences(a: Array, b: Array) -> Array:
     distance = np.abs(a - b)
     with np.errstate(divide="ignore", invalid="ignore"):  # a variance may be zero
         return np.where(distance > 0.0, distance / (sigma[:, :, None] * sigma[:, None, :]), 0.0)
+
+
+MIN_POSES = 0.95
+"""Smallest share of the base's poses that an estimate of a flight has; with fewer, the flight is lost."""
+
+
+def paired_ratios(base: Arrays, head: Arrays) -> Array:
+    """Return the ratios (N,) of the errors of N flights, new to base, from ``ATE [m]`` and ``poses``.
+
+    A flight that only the new revision loses has the ratio infinity. One that the base loses has the ratio 1, since
+    a flight that is won must not make up for larger errors elsewhere.
+    """
+    lost = np.isnan(head["ATE [m]"]) | (head["poses"] < MIN_POSES * base["poses"])
+    never = np.isnan(base["ATE [m]"])
+    ratios = np.where(lost, np.inf, head["ATE [m]"] / base["ATE [m]"])
+    return np.asarray(np.where(never, 1.0, ratios))
+
+
+def mean_ratio(ratios: Array) -> tuple[float, float]:
+    """Return the geometric mean of ratios (N,), N > 1, and its upper 95 % bound by Student's t on the logarithms."""
+    if np.isinf(ratios).any():
+        return math.inf, math.inf
+    logs = np.log(ratios)
+    error = float(logs.std(ddof=1)) / math.sqrt(len(logs))
+    mean = float(logs.mean())
+    return math.exp(mean), math.exp(mean + float(stats.t.ppf(0.95, len(logs) - 1)) * error)
