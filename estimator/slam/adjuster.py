@@ -24,9 +24,9 @@ from dronevio.estimator.slam.odometry_scale import with_scale_of_odometry
 Array = npt.NDArray[np.float64]
 
 
-MAX_NOISE_RATIO = 2.0
-"""Ratio of the accelerometer's noise to its data sheet up to which the IMU may determine the scale. On EuRoC's flights
-it is 8 to 17, and such errors are not white. At 3, that of the odometry may be better in slow flight."""
+MAX_NOISE_RATIO = 1.4
+"""Ratio of the accelerometer's estimated noise to its data sheet up to which the IMU may determine the scale. It is 0.75
+to 1.26 for IMUs that keep their data sheet, 1.6 to 2 for three times its noise, and 8 to 17 on EuRoC's flights."""
 
 
 @dataclass(frozen=True, eq=False)
