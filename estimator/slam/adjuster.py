@@ -25,8 +25,8 @@ Array = npt.NDArray[np.float64]
 
 
 MAX_NOISE_RATIO = 1.4
-"""Ratio of the accelerometer's estimated noise to its data sheet up to which the IMU may determine the scale. It is 0.75
-to 1.26 for IMUs that keep their data sheet, 1.6 to 2 for three times its noise, and 8 to 17 on EuRoC's flights."""
+"""Ratio of the accelerometer's estimated noise to its data sheet up to which the IMU may determine the scale. It is
+0.75 to 1.26 for IMUs that keep their data sheet, 1.6 to 2 for three times its noise, and 8 to 17 on EuRoC's flights."""
 
 
 @dataclass(frozen=True, eq=False)
