@@ -247,7 +247,8 @@ def test_a_larger_error_fails(
     def probe(revision: Any, what: str, paths: list[Path], out: Path) -> None:
         errors = np.full(len(paths), 0.02 if revision.name == "base" else 0.02 * ratio)
         out.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(out, **{"ATE [m]": errors, "poses": np.full(len(paths), 90.0)})
+        arrays: dict[str, Any] = {"ATE [m]": errors, "poses": np.full(len(paths), 90.0)}
+        np.savez(out, **arrays)
 
     monkeypatch.setattr(compare, "probe", probe)
     monkeypatch.setattr(compare, "recording_of", lambda base, flight, work: tmp_path)

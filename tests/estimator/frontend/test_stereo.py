@@ -24,12 +24,12 @@ def test_matches_lead_back_to_their_features(render_wall: RenderWall) -> None:
     What is behind it is not matched: from the most similar place near the line, the way back leads elsewhere.
     """
     c = StereoConfig()
-    cameras = [RigCamera(PINHOLE, pose_matrix(np.eye(3), np.array([x, 0.0, 0.0]))) for x in (0.0, BASELINE_M)]
-    first, second = (render_wall(PINHOLE, camera.T_imu_cam) for camera in cameras)
+    left, right = (RigCamera(PINHOLE, pose_matrix(np.eye(3), np.array([x, 0.0, 0.0]))) for x in (0.0, BASELINE_M))
+    first, second = (render_wall(PINHOLE, camera.T_imu_cam) for camera in (left, right))
     second[60:180, 100:240] = render_wall(PINHOLE, pose_matrix(np.eye(3), np.array([2.0, 1.0, 0.0])))[60:180, 100:240]
     pixels = np.stack(np.meshgrid(np.arange(30.0, 350.0, 6.0), np.arange(20.0, 220.0, 6.0)), axis=-1).reshape(-1, 2)
     xy = PINHOLE.normalize(pixels)
-    found = StereoMatcher(*cameras, c).match(first, second, pixels, xy, np.full(len(pixels), 1.0 / WALL_M))
+    found = StereoMatcher(left, right, c).match(first, second, pixels, xy, np.full(len(pixels), 1.0 / WALL_M))
     shifted = pixels - [PINHOLE.fx * BASELINE_M / WALL_M, 0.0]
     is_hidden = np.all((shifted > [112, 72]) & (shifted < [228, 168]), axis=1)
     is_seen = ~np.all((shifted > [90, 50]) & (shifted < [250, 190]), axis=1)
