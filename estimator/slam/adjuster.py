@@ -143,7 +143,7 @@ def solved(inputs: AdjustmentInputs, config: AdjustmentConfig) -> AdjustmentOutc
 
 
 def is_noisy(inputs: AdjustmentInputs) -> bool:
-    """Return whether the accelerometer is far noisier in this flight than its data sheet says."""
+    """Return whether the accelerometer is too noisy in this flight to determine the scale."""
     sheet = inputs.imu_model.accel_noise_density
     return inputs.params.accel_variance > (MAX_NOISE_RATIO * sheet) ** 2
 

@@ -29,7 +29,9 @@ def with_scale_of_odometry(inputs: AdjustmentInputs, poses: Mapping[int, Array])
         inputs: The measurements of the map.
         poses: Adjusted poses (4, 4) of its keyframes by their numbers.
     """
-    scale = 1.0 if inputs.saved is not None else odometry_scale(inputs.keyframes, poses)
+    if inputs.saved is not None:
+        return poses
+    scale = odometry_scale(inputs.keyframes, poses)
     origin, scaled = poses[inputs.first][:3, 3], {number: T.copy() for number, T in poses.items()}
     for T in scaled.values():
         T[:3, 3] = origin + scale * (T[:3, 3] - origin)

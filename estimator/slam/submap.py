@@ -149,8 +149,8 @@ class Submap:
             number: Number of the new keyframe.
             estimate: The final estimate of the new keyframe.
         """
-        node, factors = odometry_factors(anchor, number, estimate, is_map_frame=self._is_odometry_frame(anchor))
-        factors = replace(self._in_map(factors), relative=scaled(factors.relative, self._scale_of(anchor.first)))
+        node, factors = self._odometry_factors(anchor, number, estimate)
+        factors = replace(factors, relative=scaled(factors.relative, self._scale_of(anchor.first)))
         T = self.graph.poses[anchor.number] @ factors.relative.T_first_second
         graph, history = (each.with_keyframe(T, factors) for each in (self.graph, self.history))
         covariance = propagated(self.covariances[anchor.number], factors.relative, factors.gravity)
@@ -253,8 +253,7 @@ class Submap:
         graph, waiting = self.graph, self.graph.loops[self.judged :]
         before = next(relative for relative in graph.odometry if relative.second == number)
         after = next(relative for relative in graph.odometry if relative.first == number)
-        is_map_frame = self._is_odometry_frame(previous)
-        _, merged = odometry_factors(previous, after.second, following, is_map_frame=is_map_frame)
+        _, merged = self._odometry_factors(previous, after.second, following)
         is_adjusted = self.adjustment is not None and after.second <= self.adjustment.newest
         covariance = (ADJUSTED_VARIANCE if is_adjusted else 1.0) * merged.relative.covariance
         T = before.T_first_second @ after.T_first_second  # also where bundle adjustment has changed them
@@ -263,8 +262,7 @@ class Submap:
         gravity = [each for each in graph.gravity if each.keyframe not in (number, after.second)]
         gravity += [] if merged.gravity is None else [merged.gravity]
         positions = [each for each in graph.positions if each.keyframe not in (number, after.second)]
-        position = self._in_map(merged).position
-        positions += [] if position is None else [position]
+        positions += [] if merged.position is None else [merged.position]
         closed = self.closed_loops
         kept = [loop for loop in graph.loops[: self.judged] if loop.second != number]
         room = MAX_PASSED_LOOPS - sum(loop.second == before.first for loop in kept)
@@ -288,14 +286,15 @@ class Submap:
         covariances = {k: P for k, P in self.covariances.items() if k != number}
         return replace(self, solution=solution, covariances=covariances, history=history, waiting=len(kept_waiting))
 
-    def _in_map(self, factors: OdometryFactors) -> OdometryFactors:
-        """Return factors of the odometry with their position, if they have one, in the map frame."""
+    def _odometry_factors(
+        self, anchor: OdometryNode, number: int, estimate: KeyframeEstimate
+    ) -> tuple[OdometryNode, OdometryFactors]:
+        """Return the next keyframe of the odometry and its factors, with a position in the map frame if it has one."""
+        # Before an adjustment, the map frame differs from the first odometry frame in yaw and position alone.
+        is_map_frame = anchor.first == self.graph.first and self.adjustment is None
+        node, factors = odometry_factors(anchor, number, estimate, is_map_frame=is_map_frame)
         position = factors.position
-        return factors if position is None else replace(factors, position=position.moved(self.T_map_first))
-
-    def _is_odometry_frame(self, node: OdometryNode) -> bool:
-        """Return whether the map frame is the odometry frame of a keyframe."""
-        return node.first == self.graph.first and self.adjustment is None
+        return node, factors if position is None else replace(factors, position=position.moved(self.T_map_first))
 
     def _scale_of(self, first: int) -> float:
         """Return the scale of the odometry in the track that begins with a keyframe, 1 if it is not known."""

@@ -25,7 +25,7 @@ from dronevio.estimator.slam.odometry_factors import (
 from dronevio.estimator.slam.pose_graph import optimize
 from dronevio.estimator.slam.recognizer import PlaceRecognizer
 from dronevio.estimator.slam.submap import MAX_PASSED_LOOPS, Submap
-from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
+from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix, rotation_z
 from tests.estimator.slam.mapping.conftest import marginal_covariance
 from tests.estimator.slam.process.conftest import DRIFT_M, PLACES, keyframe, one_camera
 
@@ -93,6 +93,10 @@ def test_a_culled_prior_passes_on_to_the_next_keyframe(odometry_flight: "Odometr
     culled = without(submap, nodes)
     assert min(each.keyframe for each in culled.graph.positions) == CULLED + 1
     assert culled.history.positions == submap.graph.positions
+    T_map_first = pose_matrix(rotation_z(np.array(0.5)), np.array([1.0, 2.0, 3.0]))
+    passed = without(replace(submap, T_map_first=T_map_first), nodes).graph.positions
+    (p_map,) = [each.p_map for each in passed if each.keyframe == CULLED + 1]
+    np.testing.assert_allclose(p_map, (T_map_first @ estimates[CULLED + 1].T_odom_imu)[:3, 3], atol=1e-12)
     for number, T in optimize(culled.graph).graph.poses.items():
         np.testing.assert_allclose(T, estimates[number].T_odom_imu, atol=1e-6)
     one, other = (np.trace(marginal_covariance(graph, COUNT - 1)[3:, 3:]) for graph in (culled.graph, submap.graph))
