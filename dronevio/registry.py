@@ -21,7 +21,7 @@ from dronevio.python_estimator import PREFIX as PYTHON
 from dronevio.python_estimator import PythonEstimator
 
 if TYPE_CHECKING:
-    from dronevio.estimator.slam.map_builder import MapCost
+    from dronevio.estimator.slam.worker.map_builder import MapCost
     from dronevio.models.slam_map import SlamMap
 
 EXTERNAL = re.compile(r"external(?:@([+-]?(?:\d+\.?\d*|\.\d+)))?:")

@@ -2,7 +2,7 @@
 
     python scripts/learn_vocabulary.py recordings/hall-medium-0 recordings/forest-medium-0 …
 
-The result replaces estimator/slam/vocabulary.npy, which was learnt on hall-medium-v0, hall-race-v0 and
+The result replaces estimator/slam/places/vocabulary.npy, which was learnt on hall-medium-v0, hall-race-v0 and
 room-aggressive-v0 of seed 0 with the rig euroc-stereo. Every recording needs ground truth, from which the direction of
 gravity is taken. The same recordings give the same bytes.
 """
@@ -13,14 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from dronevio.estimator.slam.features import PlaceFeatureExtractor
-from dronevio.estimator.slam.keyframe import Descriptors
-from dronevio.estimator.slam.vocabulary import learn_vocabulary
+from dronevio.estimator.slam.map.keyframe import Descriptors
+from dronevio.estimator.slam.places.features import PlaceFeatureExtractor
+from dronevio.estimator.slam.places.vocabulary import learn_vocabulary
 from dronevio.estimator.types import NO_FEATURES
 from dronevio.models.errors import DronevioError
 from dronevio.models.recordings.open import open_recording
 
-OUTPUT = Path(__file__).parents[1] / "estimator" / "slam" / "vocabulary.npy"
+OUTPUT = Path(__file__).parents[1] / "estimator" / "slam" / "places" / "vocabulary.npy"
 INTERVAL_NS = 500_000_000  # time between the frames that are used
 SEED = 0
 

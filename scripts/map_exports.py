@@ -22,7 +22,7 @@ import tyro
 from markdown_tables import table, text
 
 from dronevio.api import estimate
-from dronevio.estimator.slam.odometry_factors import RelativePose
+from dronevio.estimator.slam.map.odometry_factors import RelativePose
 from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.errors import ate

@@ -4,7 +4,8 @@ A recording is estimated once. The bundle adjustment of its map is then repeated
 by simulated ones: exact tracks of the landmarks, with 0.05 px of noise, along the path as recorded or along a smooth
 path through it; and an IMU that is simulated along the smooth path, perfect or with multiples of the noise of its data
 sheet. Last, the camera is shaken from keyframe to keyframe, which the simulated IMU does not feel. Each problem is
-solved with the scale by the IMU and with the scale by the odometry (`dronevio.estimator.slam.bundle_adjustment`)::
+solved with the scale by the IMU and with the scale by the odometry
+(`dronevio.estimator.slam.adjustment.bundle_adjustment`)::
 
     .venv/bin/dronevio fly --scenario room-square-laps --seed 0 --rig euroc-stereo --out recordings/laps
     .venv/bin/python scripts/map_scale.py recordings/laps --picture docs/images/map-scale.svg
@@ -24,7 +25,7 @@ from matplotlib.figure import Figure
 from dronevio.api import estimate
 from dronevio.estimator.backend.observations import ObservationTable
 from dronevio.estimator.backend.triangulation import triangulate
-from dronevio.estimator.slam.bundle_adjustment import (
+from dronevio.estimator.slam.adjustment.bundle_adjustment import (
     AdjustmentConfig,
     AdjustmentInputs,
     Scale,

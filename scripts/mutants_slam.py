@@ -6,7 +6,7 @@ SLAM = (
     Mutant(
         "places-yaw-of-two-points",
         "Verification: sign of a term in the equation of the yaw of two matches.",
-        "estimator/slam/gravity_pose.py",
+        "estimator/slam/places/gravity_pose.py",
         "n[:, 0] * D[:, 1] - n[:, 1] * D[:, 0]",
         "n[:, 0] * D[:, 1] + n[:, 1] * D[:, 0]",
         ("tests/estimator/slam/test_verification.py::test_two_matches_determine_the_pose_exactly",),
@@ -14,7 +14,7 @@ SLAM = (
     Mutant(
         "places-biased-depths",
         "Verification: landmarks are linearized at their given depths, which biases the pose.",
-        "estimator/slam/relative_pose.py",
+        "estimator/slam/places/relative_pose.py",
         "        depth = part.depth\n",
         "",
         ("tests/estimator/slam/test_verification.py::test_the_covariance_is_consistent",),
@@ -22,7 +22,7 @@ SLAM = (
     Mutant(
         "places-scale-is-certain",
         "Verification: the common error of the depths is not part of the covariance.",
-        "estimator/slam/relative_pose.py",
+        "estimator/slam/places/relative_pose.py",
         "config.scale_sigma**2 * sensitivity",
         "0.0 * sensitivity",
         ("tests/estimator/slam/test_verification.py::test_an_error_of_scale_is_part_of_the_covariance",),
@@ -30,7 +30,7 @@ SLAM = (
     Mutant(
         "places-rivalling-poses",
         "Verification: another pose that explains nearly as many matches is ignored.",
-        "estimator/slam/verification.py",
+        "estimator/slam/places/verification.py",
         "if len(competitors) and competitors.max() >",
         "if len(competitors) and -competitors.max() >",
         ("tests/estimator/slam/test_verification.py::test_two_poses_that_fit_equally_are_rejected",),
@@ -38,7 +38,7 @@ SLAM = (
     Mutant(
         "places-one-direction",
         "Verification: the poses of the two directions need not agree.",
-        "estimator/slam/verification.py",
+        "estimator/slam/places/verification.py",
         "if not _directions_agree(",
         "if False and not _directions_agree(",
         ("tests/estimator/slam/test_verification.py::test_both_directions_have_to_give_the_same_pose",),
@@ -46,7 +46,7 @@ SLAM = (
     Mutant(
         "places-descriptors-without-lens",
         "Features: the direction of gravity is that of an image without distortion.",
-        "estimator/slam/features.py",
+        "estimator/slam/places/features.py",
         "direction = camera.project(rays + step) - camera.project(rays - step)",
         "direction = down_cam[:2] - xy * down_cam[2]",
         ("tests/estimator/slam/test_features.py::test_a_lens_distorts_the_direction_of_gravity",),
@@ -54,7 +54,7 @@ SLAM = (
     Mutant(
         "places-drift-without-limit",
         "Recognition: a match may claim any drift of the odometry.",
-        "estimator/slam/recognizer.py",
+        "estimator/slam/places/recognizer.py",
         "if query.track != match.track:",
         "if True:",
         ("tests/estimator/slam/test_recognizer.py::test_more_drift_than_possible_is_refused",),
@@ -62,7 +62,7 @@ SLAM = (
     Mutant(
         "places-rivals-not-verified",
         "Recognition: the second of two equal places is not verified.",
-        "estimator/slam/recognizer.py",
+        "estimator/slam/places/recognizer.py",
         "min(left, 1)",
         "0",
         ("tests/estimator/slam/test_recognizer.py::test_two_equal_places_are_ambiguous",),
@@ -70,7 +70,7 @@ SLAM = (
     Mutant(
         "places-unconfirmed",
         "Recognition: a match is published although no other keyframe confirms it.",
-        "estimator/slam/recognizer.py",
+        "estimator/slam/places/recognizer.py",
         "newest.result) if agreeing else ()",
         "newest.result)",
         ("tests/estimator/slam/test_recognizer.py::test_one_match_alone_is_not_published",),
@@ -78,10 +78,10 @@ SLAM = (
     Mutant(
         "map-covariance-of-the-odometry",
         "Mapping: the covariance of the newest keyframe does not change where loops are closed.",
-        "estimator/slam/submap.py",
+        "estimator/slam/map/submap.py",
         "covariances_with_loops(solution.graph, self.covariances, new)",
         "self.covariances",
-        ("tests/estimator/slam/mapping/test_mapping.py::test_covariances_of_corrections_are_those_of_the_best_path",),
+        ("tests/estimator/slam/mapping/test_mapper.py::test_covariances_of_corrections_are_those_of_the_best_path",),
     ),
     Mutant(
         "map-delay-without-loops",
@@ -94,7 +94,7 @@ SLAM = (
     Mutant(
         "map-loss-unnoticed",
         "Map: keyframes after a loss of the odometry join the map of its other frame.",
-        "estimator/slam/map_builder.py",
+        "estimator/slam/worker/map_builder.py",
         "self.mapper.start_track(t_ns)",
         "pass",
         ("tests/estimator/slam/process/test_map_process.py::test_answers_after_a_loss_belong_to_another_track",),
@@ -118,7 +118,7 @@ SLAM = (
     Mutant(
         "map-loops-between-tracks-unjudged",
         "Submaps: two tracks are joined although all loops between them are rejected.",
-        "estimator/slam/submap.py",
+        "estimator/slam/map/submap.py",
         "if solution.rejected.issuperset(between):",
         "if False:",
         ("tests/estimator/slam/mapping/test_submaps.py::test_contradictory_loops_do_not_join_tracks",),
@@ -126,7 +126,7 @@ SLAM = (
     Mutant(
         "map-cost-of-answers-read-so-far",
         "Map process: its cost lacks the messages that have not been answered.",
-        "estimator/slam/map_process.py",
+        "estimator/slam/worker/map_process.py",
         "        self._read_all()\n        return MapCost(",
         "        return MapCost(",
         ("tests/estimator/slam/process/test_map_process.py::test_cost_contains_the_time_of_the_worker",),
@@ -134,7 +134,7 @@ SLAM = (
     Mutant(
         "places-equal-weights",
         "Index: frequent words weigh as much as rare ones.",
-        "estimator/slam/index.py",
+        "estimator/slam/places/index.py",
         "np.asarray(np.log(1.0 + (len(self._sizes) + 1.0) / (self._documents[words] + 1.0)))",
         "np.ones(len(words))",
         ("tests/estimator/slam/test_index.py::test_a_word_of_every_keyframe_says_little",),
@@ -142,7 +142,7 @@ SLAM = (
     Mutant(
         "graph-late-knowledge",
         "Pose graph: a position that becomes certain late gets no prior.",
-        "estimator/slam/odometry_factors.py",
+        "estimator/slam/map/odometry_factors.py",
         "if is_map_frame and position_variance(",
         "if False and position_variance(",
         (
@@ -153,7 +153,7 @@ SLAM = (
     Mutant(
         "graph-constant-factors",
         "Pose graph: factors of fixed keyframes alone hide whether loops agree.",
-        "estimator/slam/pose_graph.py",
+        "estimator/slam/map/pose_graph.py",
         "if not {relative.first, relative.second} <= is_fixed:",
         "if True:",
         ("tests/estimator/slam/mapping/test_submaps.py::test_loops_with_fixed_keyframes_are_judged",),
@@ -161,7 +161,7 @@ SLAM = (
     Mutant(
         "adjustment-by-relative-poses",
         "Bundle adjustment: loops enter by their relative poses, too, which hold the scale.",
-        "estimator/slam/bundle_adjustment.py",
+        "estimator/slam/adjustment/bundle_adjustment.py",
         "[loop for loop in inputs.loops if not len(loop.observations)]",
         "list(inputs.loops)",
         (
@@ -172,7 +172,7 @@ SLAM = (
     Mutant(
         "adjustment-fixed-rig",
         "Bundle adjustment: the second camera is where the calibration has it.",
-        "estimator/slam/bundle_adjustment.py",
+        "estimator/slam/adjustment/bundle_adjustment.py",
         "if camera in estimated:",
         "if False:",
         ("tests/estimator/slam/mapping/test_bundle_adjustment.py::test_common_error_of_stereo_matches_is_estimated",),
@@ -180,7 +180,7 @@ SLAM = (
     Mutant(
         "localization-uncertain",
         "Localization: poses of any uncertainty are loops.",
-        "estimator/slam/localization.py",
+        "estimator/slam/places/localization.py",
         "if not fit.is_certain(c.max_sigma_m, np.radians(c.max_sigma_deg)):",
         "if False:",
         ("tests/estimator/slam/mapping/test_localization.py::test_an_uncertain_pose_is_refused",),
@@ -188,7 +188,7 @@ SLAM = (
     Mutant(
         "localization-in-few-landmarks",
         "Localization: landmarks in view that are not found do not count.",
-        "estimator/slam/localization.py",
+        "estimator/slam/places/localization.py",
         "max(c.min_inliers, c.min_view_ratio * sum(len(each[0]) for each in in_view))",
         "c.min_inliers",
         ("tests/estimator/slam/mapping/test_localization.py::test_few_of_the_landmarks_in_view_are_no_place",),
@@ -196,7 +196,7 @@ SLAM = (
     Mutant(
         "map-frame-of-the-first-keyframe",
         "Submap: an optimization leaves yaw and position of the first keyframe, not of the published map.",
-        "estimator/slam/submap.py",
+        "estimator/slam/map/submap.py",
         "T = frame_change(self.graph.poses, self.first_poses)",
         "T = np.eye(4)",
         ("tests/estimator/slam/mapping/test_adjusted_submaps.py::test_the_map_stays_where_it_was_published",),
@@ -204,7 +204,7 @@ SLAM = (
     Mutant(
         "map-frame-of-the-last-adjustment",
         "Submap: the offset of the map frame is that of the last optimization alone.",
-        "estimator/slam/submap.py",
+        "estimator/slam/map/submap.py",
         "T_map_first=T @ self.T_map_first",
         "T_map_first=T",
         ("tests/estimator/slam/mapping/test_adjusted_submaps.py::test_the_map_stays_where_it_was_published",),
@@ -212,7 +212,7 @@ SLAM = (
     Mutant(
         "map-frame-of-the-joined-track",
         "Submap: after a join, the map frame is that of the track that is moved.",
-        "estimator/slam/submap.py",
+        "estimator/slam/map/submap.py",
         "whole = replace(one, ",
         "whole = replace(two, ",
         ("tests/estimator/slam/mapping/test_submaps.py::test_the_submap_that_stays_keeps_its_frame",),
@@ -220,7 +220,7 @@ SLAM = (
     Mutant(
         "map-frame-certain",
         "Map frame: the covariance does not contain the offset of the map.",
-        "estimator/slam/map_frame.py",
+        "estimator/slam/map/map_frame.py",
         "covariance + np.outer(offset, offset)",
         "covariance",
         ("tests/estimator/slam/mapping/test_map_frame.py::test_offset_of_the_map_is_part_of_the_covariance",),
@@ -228,7 +228,7 @@ SLAM = (
     Mutant(
         "map-frame-without-axes",
         "Map frame: yaw is determined by positions alone.",
-        "estimator/slam/map_frame.py",
+        "estimator/slam/map/map_frame.py",
         "LEVER_M = 1.0",
         "LEVER_M = 0.0",
         ("tests/estimator/slam/mapping/test_map_frame.py::test_yaw_is_that_of_the_axes_without_motion",),
@@ -244,7 +244,7 @@ SLAM = (
     Mutant(
         "join-by-one-keyframe",
         "Mapper: one keyframe joins a track with the map.",
-        "estimator/slam/mapping.py",
+        "estimator/slam/mapper.py",
         "if len({loop.second for loop in between}) > 1:",
         "if between:",
         ("tests/estimator/slam/mapping/test_submaps.py::test_a_track_with_a_wrong_velocity_is_not_joined",),
@@ -252,7 +252,7 @@ SLAM = (
     Mutant(
         "adjustment-observations-twice",
         "Bundle adjustment: an observation counts as often as there are loops with it.",
-        "estimator/slam/bundle_adjustment.py",
+        "estimator/slam/adjustment/bundle_adjustment.py",
         "return table[np.sort(np.unique(of_one, axis=0, return_index=True)[1])]\n",
         "return table\n",
         ("tests/estimator/slam/mapping/test_bundle_adjustment.py::test_an_observation_by_several_loops_counts_once",),
@@ -260,7 +260,7 @@ SLAM = (
     Mutant(
         "adjustment-scale-forgotten",
         "Submap: the odometry after an adjustment keeps its own scale.",
-        "estimator/slam/submap.py",
+        "estimator/slam/map/submap.py",
         "return self.adjustment.scale if",
         "return 1.0 if",
         ("tests/estimator/slam/mapping/test_adjusted_submaps.py::test_adjusted_poses_are_the_optimum_of_the_graph",),
@@ -268,7 +268,7 @@ SLAM = (
     Mutant(
         "adjustment-stiffer-again",
         "Submap: each adjustment makes the odometry stiffer.",
-        "estimator/slam/pose_graph.py",
+        "estimator/slam/map/pose_graph.py",
         "(1.0 if relative.second <= known else ADJUSTED_VARIANCE)",
         "ADJUSTED_VARIANCE",
         ("tests/estimator/slam/mapping/test_adjusted_submaps.py::test_adjusted_odometry_is_stiffer_once",),
@@ -284,7 +284,7 @@ SLAM = (
     Mutant(
         "g2o-half-rotations",
         "Files of g2o: the information is that of the vector part of the quaternion.",
-        "estimator/slam/g2o.py",
+        "estimator/slam/files/g2o.py",
         "information = np.linalg.inv(relative.covariance[np.ix_(order, order)])",
         "scale = np.repeat([1.0, 2.0], 3)\n"
         "    information = np.linalg.inv(relative.covariance[np.ix_(order, order)]) * np.outer(scale, scale)",
@@ -293,7 +293,7 @@ SLAM = (
     Mutant(
         "final-graph-of-the-flight",
         "Final graph: loops stay as they were measured during the flight.",
-        "estimator/slam/final_graph.py",
+        "estimator/slam/adjustment/final_graph.py",
         "if len(table) < MIN_OBSERVATIONS:",
         "if True:",
         ("tests/estimator/slam/mapping/test_final_graph.py::test_a_loop_is_measured_in_the_final_landmarks",),
@@ -301,7 +301,7 @@ SLAM = (
     Mutant(
         "final-graph-not-optimized",
         "Final graph: the poses are those of bundle adjustment.",
-        "estimator/slam/final_graph.py",
+        "estimator/slam/adjustment/final_graph.py",
         "return optimize(relative, robust=False).graph",
         "return relative",
         ("tests/estimator/slam/mapping/test_final_graph.py::test_written_poses_are_the_optimum_of_the_file",),
@@ -309,7 +309,7 @@ SLAM = (
     Mutant(
         "structure-with-wrong-observations",
         "Structure: right observations of a landmark are left out with a wrong one.",
-        "estimator/slam/structure.py",
+        "estimator/slam/adjustment/structure.py",
         "(errors >= 0.5 * largest[structure.observation_point])",
         "(errors >= 0.0)",
         ("tests/estimator/slam/mapping/test_structure.py::test_observations_far_off_are_left_out",),
@@ -317,7 +317,7 @@ SLAM = (
     Mutant(
         "exported-images-of-other-times",
         "Visual SLAM: the images of a keyframe are those of the time by the clock of the IMU.",
-        "estimator/slam/flight_measurements.py",
+        "estimator/slam/adjustment/flight_measurements.py",
         "[self._keyframes[keyframe.t_ns].stamp_ns for keyframe in keyframes]",
         "[keyframe.t_ns for keyframe in keyframes]",
         ("tests/estimator/slam/process/test_visual_slam.py::test_images_of_keyframes_are_found_by_their_stamps",),
@@ -325,7 +325,7 @@ SLAM = (
     Mutant(
         "loaded-map-in-another-frame",
         "Submap: the frame of a loaded map moves with the keyframes of the flight.",
-        "estimator/slam/submap.py",
+        "estimator/slam/map/submap.py",
         "        if self.is_saved:",
         "        if False:",
         ("tests/estimator/slam/process/test_saved_maps.py::test_the_frame_of_a_loaded_map_stays",),
@@ -333,7 +333,7 @@ SLAM = (
     Mutant(
         "loaded-map-adjusted-again",
         "Submap: the covariances of a loaded map become smaller with each flight.",
-        "estimator/slam/submap.py",
+        "estimator/slam/map/submap.py",
         "Adjustment(max(graph.poses), graph.first, 1.0)",
         "None",
         ("tests/estimator/slam/process/test_saved_maps.py::test_the_frame_of_a_loaded_map_stays",),
@@ -341,7 +341,7 @@ SLAM = (
     Mutant(
         "loaded-map-without-observations",
         "Flight measurements: the corners of saved keyframes are no observations.",
-        "estimator/slam/flight_measurements.py",
+        "estimator/slam/adjustment/flight_measurements.py",
         "_corners(keyframe)[np.isin(keyframe.features.landmark, seen)]",
         "_corners(keyframe)[:0]",
         ("tests/estimator/slam/process/test_saved_maps.py::test_a_flight_in_a_loaded_map_is_adjusted_in_the_end",),
@@ -349,7 +349,7 @@ SLAM = (
     Mutant(
         "loaded-map-loops-of-the-file",
         "Flight measurements: loops of a file let the adjustment of a flight begin.",
-        "estimator/slam/flight_measurements.py",
+        "estimator/slam/adjustment/flight_measurements.py",
         "[loop for loop in graph.loops if loop.second in numbers]",
         "list(graph.loops)",
         ("tests/estimator/slam/process/test_online_adjustment.py::test_flight_in_a_loaded_map_is_adjusted_during_it",),
@@ -357,7 +357,7 @@ SLAM = (
     Mutant(
         "loaded-patches-of-no-landmark",
         "Saved map: patches do not know their landmarks.",
-        "estimator/slam/saved_map.py",
+        "estimator/slam/files/saved_map.py",
         "np.where(is_same.any(axis=1), identities, -1)",
         "np.full(len(points), -1)",
         ("tests/estimator/slam/process/test_saved_maps.py::test_patches_of_a_loaded_map_know_their_landmarks",),
@@ -365,7 +365,7 @@ SLAM = (
     Mutant(
         "loaded-map-moved",
         "Bundle adjustment: fixed keyframes of a loaded map are where the solution has them.",
-        "estimator/slam/bundle_adjustment.py",
+        "estimator/slam/adjustment/bundle_adjustment.py",
         "{n: T if n in fixed else solution.atPose3(X(n)).matrix() for n, T in inputs.poses.items()}",
         "{n: solution.atPose3(X(n)).matrix() if values.exists(X(n)) else T for n, T in inputs.poses.items()}",
         ("tests/estimator/slam/mapping/test_bundle_adjustment.py::test_flight_in_a_loaded_map",),
@@ -373,7 +373,7 @@ SLAM = (
     Mutant(
         "loaded-map-without-agreement",
         "Agreement: loops with a loaded map do not count.",
-        "estimator/slam/agreement.py",
+        "estimator/slam/adjustment/agreement.py",
         "    if not loops:\n        return None\n",
         "    return None\n",
         ("tests/estimator/slam/mapping/test_agreement.py::test_loops_with_a_loaded_map_by_hand",),

@@ -1,0 +1,1 @@
+"""Files of maps: our own, which can be continued, and pose graphs in the g2o format."""

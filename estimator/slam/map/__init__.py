@@ -1,0 +1,1 @@
+"""The map: keyframes, the odometry's factors between them, pose graphs, and the covariance of their poses."""

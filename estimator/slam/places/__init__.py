@@ -1,0 +1,1 @@
+"""Place recognition: features, a vocabulary and its index, and the verification of matches by geometry."""

@@ -1,0 +1,1 @@
+"""The mapper behind the odometry: in the same process, or in one of its own."""
