@@ -27,7 +27,7 @@ from rerun.experimental import ViewerClient
 from seeds import accuracy
 
 from dronevio.cli import main
-from dronevio.cli.view import HOST, free_port, viewer_program
+from dronevio.cli.commands.view import HOST, free_port, viewer_program
 from dronevio.driver import estimate_recording
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval import colours

@@ -14,7 +14,7 @@ import pytest
 import dronevio as dv
 from dronevio.benchmark_jobs import scenario_flights
 from dronevio.cli import main
-from dronevio.cli.estimate import EstimateCommand, check_places, numbered, result_files
+from dronevio.cli.commands.estimate import EstimateCommand, check_places, numbered, result_files
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples

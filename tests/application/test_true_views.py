@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dronevio.cli.commands.fly import FlyCommand
+from dronevio.cli.commands.run import repeating_command
 from dronevio.cli.flight_options import FlightOptions, parse_flight
-from dronevio.cli.fly import FlyCommand
-from dronevio.cli.run import repeating_command
 from dronevio.eval.metrics.revisits import RevisitRule, find_revisits
 from dronevio.models.errors import InputError
 from dronevio.models.recordings.euroc import EurocRecording

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
 
+from dronevio.cli.commands.speed.printing import print_speed
 from dronevio.cli.options import Printing, PrintOptions
-from dronevio.cli.speed.printing import print_speed
 from dronevio.cli.terminal import parse, progress_bars
 from dronevio.models.ranges import Range, Settings
 

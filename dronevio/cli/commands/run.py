@@ -173,7 +173,7 @@ def _run(
         repeat: Command that repeats the run, for the report.
         bars: Display of the progress.
     """
-    from dronevio.cli.run_flight import control_result, flown_and_estimated
+    from dronevio.cli.commands.run_flight import control_result, flown_and_estimated
     from dronevio.eval.provenance import RunInfo
     from dronevio.eval.report.run import write_report
     from dronevio.models.recordings.tum import write_tum

@@ -10,9 +10,9 @@ COMMANDS = CommandGroup(
     "dronevio speed",
     "Measure the speed of dronevio on this machine, and print each figure beside its bound.",
     {
-        "sim": Subcommand("dronevio.cli.speed.sim", "rendering, physics and recording"),
-        "gym": Subcommand("dronevio.cli.speed.gym", "many vehicles at once, beside the bare physics"),
-        "eval": Subcommand("dronevio.cli.speed.eval", "evaluation of trajectories, beside evo"),
+        "sim": Subcommand("dronevio.cli.commands.speed.sim", "rendering, physics and recording"),
+        "gym": Subcommand("dronevio.cli.commands.speed.gym", "many vehicles at once, beside the bare physics"),
+        "eval": Subcommand("dronevio.cli.commands.speed.eval", "evaluation of trajectories, beside evo"),
     },
     ("dronevio speed sim", "dronevio speed eval --json > figures.json"),
 )

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dronevio.cli.commands.speed.printing import print_speed
 from dronevio.cli.options import Printing, PrintOptions
-from dronevio.cli.speed.printing import print_speed
 from dronevio.cli.terminal import parse, progress_bars
 
 if TYPE_CHECKING:
@@ -53,7 +53,13 @@ def main(arguments: Sequence[str]) -> int:
 
 def _measured(command: EvalCommand, progress: "Progress") -> list["PerformanceFigure"]:
     """Return all figures."""
-    from dronevio.cli.speed.evaluation_cost import command_figure, has_evo, library_figure, memory_figure, size_figure
+    from dronevio.cli.commands.speed.evaluation_cost import (
+        command_figure,
+        has_evo,
+        library_figure,
+        memory_figure,
+        size_figure,
+    )
     from dronevio.models.errors import ConfigError
 
     if (command.truth is None) != (command.estimate is None):

@@ -10,9 +10,11 @@ COMMANDS = CommandGroup(
     "dronevio policy",
     "Evaluate, describe and export trained policies, which are files of the format safetensors.",
     {
-        "evaluate": Subcommand("dronevio.cli.policy.evaluate", "success, errors and crashes over many episodes"),
-        "show": Subcommand("dronevio.cli.policy.show", "what a policy observes and commands, and its origin"),
-        "export-onnx": Subcommand("dronevio.cli.policy.export_onnx", "write a policy as an ONNX model"),
+        "evaluate": Subcommand(
+            "dronevio.cli.commands.policy.evaluate", "success, errors and crashes over many episodes"
+        ),
+        "show": Subcommand("dronevio.cli.commands.policy.show", "what a policy observes and commands, and its origin"),
+        "export-onnx": Subcommand("dronevio.cli.commands.policy.export_onnx", "write a policy as an ONNX model"),
     },
     ("dronevio policy evaluate hover.safetensors", "dronevio policy show hover.safetensors"),
 )

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
+    from dronevio.cli.commands.run import RunCommand
     from dronevio.cli.progress import Bars
-    from dronevio.cli.run import RunCommand
     from dronevio.driver import RunObserver
     from dronevio.estimator.slam.visual_slam import VisualSlam
     from dronevio.estimator.vio import VisualInertialOdometry
@@ -226,7 +226,7 @@ def _viewers(
     if not command.live:
         yield ()
         return
-    from dronevio.cli.view import viewer_process
+    from dronevio.cli.commands.view import viewer_process
     from dronevio.eval.rerun.live import viewer_log
 
     with viewer_process() as address, viewer_log(address, recording, surroundings, has_map=command.slam) as viewer:

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Annotated
 
+from dronevio.cli.commands.speed.printing import print_speed
 from dronevio.cli.options import Printing, PrintOptions
-from dronevio.cli.speed.printing import print_speed
 from dronevio.cli.terminal import parse, progress_bars
 from dronevio.models.ranges import Range, Settings
 
@@ -89,7 +89,7 @@ def _measured(command: SimCommand, effort: _Effort, progress: "Progress") -> lis
     """Return all figures."""
     import time
 
-    from dronevio.cli.speed.recording_cost import (
+    from dronevio.cli.commands.speed.recording_cost import (
         measured_rig,
         measured_scenario,
         memory_figure,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from dronevio.cli.compare import document, print_comparisons, read_pairs
+from dronevio.cli.commands.compare import document, print_comparisons, read_pairs
 from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_json
 from dronevio.models.errors import ConfigError

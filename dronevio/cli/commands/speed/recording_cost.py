@@ -20,7 +20,7 @@ from dronevio.sim.paths.plan import FlightPlan
 from dronevio.sim.rendering.frame_renderer import thumbnail
 from dronevio.sim.scenario import Scenario
 
-_MEASURE_MEMORY = "from dronevio.cli.speed.recording_cost import print_peak_memory; print_peak_memory()"
+_MEASURE_MEMORY = "from dronevio.cli.commands.speed.recording_cost import print_peak_memory; print_peak_memory()"
 _SAMPLE_EVERY_S = 0.05  # sampling of the peak memory of the rendering processes, which never falls
 _TAKEOFF_S, _LANDING_S, _STAND_S = 1.2, 1.5, 0.4
 _HOPS = ((0.1, 0.05, 0.1), (-0.05, 0.1, 0.0), (-0.1, -0.05, 0.1), (0.05, -0.1, 0.0))
