@@ -21,8 +21,8 @@ import numpy.typing as npt
 import tyro
 
 from dronevio.cli.terminal import print_table
-from dronevio.driver import estimate_recording
 from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.run import EstimatorRun
 from dronevio.evaluation import ate
 from dronevio.models.imu import ImuSamples, Times
@@ -33,7 +33,7 @@ from dronevio.models.recordings.euroc import EurocRecording, read_imu, write_eur
 from dronevio.models.recordings.tum import read_trajectory
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.state import CameraFrame, Health, Trajectory
-from dronevio.recorder import rig_of
+from dronevio.recording.recorder import rig_of
 from dronevio.sim.cameras.schedule import FrameSchedule
 from dronevio.sim.refly import FlownPath, cut, refly
 from dronevio.sim.rendering.render import render_frames

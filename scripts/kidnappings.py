@@ -24,11 +24,11 @@ import numpy.typing as npt
 import tyro
 from markdown_tables import table, text
 
+from dronevio.benchmark.true_views import recording_views
 from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.eval.metrics.association import interpolate, nearest_rows
 from dronevio.eval.metrics.revisits import LoopTolerance, RevisitRule, Views, find_revisits
 from dronevio.eval.run import POSE_IS_VALID
-from dronevio.excerpts import SplicedRecording
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements
@@ -37,7 +37,7 @@ from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.scenario_file import world_of
 from dronevio.models.rotation import inverse_pose, log_so3, pose_matrix, rotation_z, yaw_rad_from_matrix
 from dronevio.models.state import Estimate, Health
-from dronevio.true_views import recording_views
+from dronevio.recording.excerpts import SplicedRecording
 
 Array = npt.NDArray[np.float64]
 

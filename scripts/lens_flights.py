@@ -16,8 +16,8 @@ import tyro
 from markdown_tables import table
 from rendered_conditions import render
 
-from dronevio.driver import estimate_recording
 from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.scores import score
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import EvaluationError

@@ -28,16 +28,16 @@ from markdown_tables import table
 from wrong_inputs import ChangedRecording, section_of
 
 from dronevio.api import estimate
-from dronevio.benchmark_jobs import versions
+from dronevio.benchmark.jobs import versions
 from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.eval.map_results import MapResults, map_results
 from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.eval.provenance import machine_here
 from dronevio.eval.run import EstimatorRun
-from dronevio.excerpts import excerpt_of
 from dronevio.models.errors import ConfigError, DronevioError
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording
+from dronevio.recording.excerpts import excerpt_of
 
 FACTOR = 3.0
 """Noise density and bias of an altered IMU, relative to those that are stated."""

@@ -238,7 +238,7 @@ EVALUATION = (
     Mutant(
         "excerpt-with-earlier-imu",
         "Excerpts: a later start has all IMU samples before it.",
-        "dronevio/excerpts.py",
+        "dronevio/recording/excerpts.py",
         "return self.whole.imu.after(self._begin_ns)",
         "return self.whole.imu",
         ("tests/application/test_excerpts.py::test_a_later_start_has_no_earlier_measurement",),
@@ -366,7 +366,7 @@ EVALUATION = (
     Mutant(
         "program-reads-links",
         "Benchmark: a program reads links, which lead to the ground truth.",
-        "dronevio/external_program.py",
+        "dronevio/estimators/external_program.py",
         "_copy(mav0 / file, target / file)",
         "(target / file).symlink_to(mav0 / file)",
         ("tests/application/test_external_program.py::test_no_path_leads_to_the_truth",),

@@ -154,8 +154,8 @@ def profile_tables(profile: Profile, frames: int) -> str:
 def main(command: ProfileCommand) -> int:
     """Profile the odometry on a recording and print the tables."""
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before NumPy is imported
-    from dronevio.driver import estimate_recording
     from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.estimators.driver import estimate_recording
     from dronevio.models.recordings.open import open_recording
 
     recording, profile = open_recording(command.recording, command.cameras), Profile()

@@ -29,7 +29,6 @@ from dronevio.eval.metrics.alignment import Alignment, align
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.errors import Statistics, ate, translation_errors_m
 from dronevio.eval.run import EstimatorRun
-from dronevio.excerpts import excerpt_of
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import Recording
@@ -37,6 +36,7 @@ from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.scenario_file import world_of
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Trajectory
+from dronevio.recording.excerpts import excerpt_of
 
 
 @dataclass(frozen=True)

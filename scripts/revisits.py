@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import tyro
 from markdown_tables import numbers, table
 
+from dronevio.benchmark.true_views import flight_views, planned_views
 from dronevio.eval.metrics.revisits import find_revisits
 from dronevio.sim.flight import fly
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.scenarios import SUITES, scenario_named
-from dronevio.true_views import flight_views, planned_views
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,6 @@ import numpy.typing as npt
 import tyro
 
 from dronevio.cli.terminal import print_table
-from dronevio.driver import estimate_recording
 from dronevio.estimator.initialization.not_observable import (
     ACCEL_DISAGREES,
     FORCE_IS_NOT_GRAVITY,
@@ -29,6 +28,7 @@ from dronevio.estimator.initialization.not_observable import (
 )
 from dronevio.estimator.output import REPEATED_IMAGES
 from dronevio.estimator.vio import IMPLAUSIBLE_CALIBRATION, VisualInertialOdometry
+from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.consistency import errors_and_sigmas_m
 from dronevio.eval.run import EstimatorRun

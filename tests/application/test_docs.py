@@ -16,8 +16,8 @@ import yaml
 import dronevio
 from dronevio.cli import main
 from dronevio.cli.terminal import HELP_ALL
+from dronevio.estimators.registry import ESTIMATORS
 from dronevio.eval.benchmark.rows import read_rows, write_rows
-from dronevio.registry import ESTIMATORS
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 DOCS = CHECKOUT / "docs"

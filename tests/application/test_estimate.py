@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 import dronevio as dv
-from dronevio.benchmark_jobs import scenario_flights
+from dronevio.benchmark.jobs import scenario_flights
 from dronevio.cli import main
 from dronevio.cli.commands.estimate import EstimateCommand, check_places, numbered, result_files
+from dronevio.estimators.registry import ESTIMATORS, estimator_named
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples
@@ -24,7 +25,6 @@ from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import inverse_pose
-from dronevio.registry import ESTIMATORS, estimator_named
 from dronevio.sim.cameras.imaging import VI_SENSOR
 from dronevio.sim.scenario import Scenario
 

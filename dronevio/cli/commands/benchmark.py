@@ -189,11 +189,11 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
     Raises:
         ConfigError: There is no flight, or an option has an invalid value.
     """
-    from dronevio.benchmark_jobs import Workbench, excerpts, recorded_flights, versions
+    from dronevio.benchmark.jobs import Workbench, excerpts, recorded_flights, versions
+    from dronevio.estimators.registry import EXTERNAL, estimator_named
     from dronevio.eval.benchmark.cache_limit import default_folder
     from dronevio.eval.benchmark.runner import BenchmarkPlan
     from dronevio.eval.provenance import processor_here
-    from dronevio.registry import EXTERNAL, estimator_named
     from dronevio.sim.scenarios import SUITES
 
     if command.suite is not None and command.suite not in SUITES:
@@ -237,10 +237,10 @@ def _planned_recordings(command: BenchmarkCommand, names: Sequence[str]) -> "tup
         ConfigError: A name, the rig or the image sensor is not known.
         InputError: The data of a measured flight that is named is missing.
     """
-    from dronevio.benchmark_jobs import measured_recordings, scenario_flights
-    from dronevio.benchmark_variants import AS_IS
-    from dronevio.measured_flights import measured_flights, measured_name
-    from dronevio.recorder import rig_of
+    from dronevio.benchmark.jobs import measured_recordings, scenario_flights
+    from dronevio.benchmark.measured_flights import measured_flights, measured_name
+    from dronevio.benchmark.variants import AS_IS
+    from dronevio.recording.recorder import rig_of
 
     seeds = range(command.first_seed, command.first_seed + command.seeds)
     simulated = [name for name in names if measured_name(name) is None]

@@ -358,8 +358,8 @@ def estimated(command: EstimateCommand, recording: "StoredRecording") -> Estimat
     Raises:
         EvaluationError: There is no pose.
     """
-    from dronevio.driver import ImuRateObserver, estimate_recording, require_poses
     from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.estimators.driver import ImuRateObserver, estimate_recording, require_poses
 
     config = command.estimator
     imu_rate = ImuRateObserver(recording.rig.imu, config.preintegration, config.gravity_m_s2)

@@ -44,7 +44,7 @@ def main(arguments: Sequence[str]) -> int:
     command = parse_flight(FlyCommand, arguments, "fly")
 
     from dronevio.cli.output_files import atomic_folder, size_mb
-    from dronevio.recorder import record_flight
+    from dronevio.recording.recorder import record_flight
     from dronevio.sim.cameras.gl import require_gl
 
     scenario, quiet = command.flight.chosen(), command.output.json

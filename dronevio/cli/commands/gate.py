@@ -88,9 +88,9 @@ def _percent(text: str) -> float:
 
 def _check_outcomes(command: GateCommand) -> int:
     """Check that the runs of scenarios with an expected outcome have it, and return the exit code."""
+    from dronevio.benchmark.expectations import EXPECTATIONS
     from dronevio.eval.benchmark.outcomes import verdicts
     from dronevio.eval.benchmark.rows import read_rows
-    from dronevio.expectations import EXPECTATIONS
 
     found = verdicts(read_rows(command.results), EXPECTATIONS)
     if not found:

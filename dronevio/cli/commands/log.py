@@ -69,7 +69,7 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.models.recordings.open import read_trajectory
     from dronevio.models.recordings.scenery_file import read_scenery
     from dronevio.models.recordings.segments import most_common, segments_of
-    from dronevio.surroundings import surroundings_in
+    from dronevio.recording.surroundings import surroundings_in
 
     recording = command.reading.open(command.recording, repair=True)
     trajectories = [read_trajectory(path) for path in command.estimates]

@@ -62,7 +62,7 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.cli.output_files import atomic_folder, size_mb
     from dronevio.models.recordings.euroc import read_imu
     from dronevio.models.recordings.tum import read_trajectory
-    from dronevio.recorder import record_refly, rig_of
+    from dronevio.recording.recorder import record_refly, rig_of
     from dronevio.sim.cameras.gl import require_gl
     from dronevio.sim.cameras.imaging import image_sensor_named
     from dronevio.sim.refly import cut, refly

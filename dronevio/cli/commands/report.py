@@ -52,8 +52,8 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     command = parse(ReportCommand, arguments, "report")
 
+    from dronevio.benchmark.expectations import EXPECTATIONS
     from dronevio.eval.report.benchmark.model import read_benchmark
-    from dronevio.expectations import EXPECTATIONS
     from dronevio.models.recordings.files import write_text
 
     benchmark = replace(read_benchmark(command.results), expectations=EXPECTATIONS)

@@ -177,7 +177,7 @@ def _run(
     from dronevio.eval.provenance import RunInfo
     from dronevio.eval.report.run import write_report
     from dronevio.models.recordings.tum import write_tum
-    from dronevio.surroundings import surroundings_of
+    from dronevio.recording.surroundings import surroundings_of
 
     surroundings = surroundings_of(scenario.world, scenario.seed_of_world, scenario.light_seed)
     estimated = flown_and_estimated(scenario, command, mission, folder, surroundings, bars)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from dronevio.cli.commands.run import RunCommand
     from dronevio.cli.progress import Bars
-    from dronevio.driver import RunObserver
     from dronevio.estimator.slam.visual_slam import VisualSlam
     from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.estimators.driver import RunObserver
     from dronevio.eval.map_results import MapResults
     from dronevio.eval.metrics.scores import ScoredTrajectory
     from dronevio.eval.report.model import ControlResult
@@ -74,10 +74,10 @@ def _flown_on_truth(
     scenario: "Scenario", command: "RunCommand", folder: Path, surroundings: "Surroundings", bars: "Bars"
 ) -> EstimatedFlight:
     """Fly on the true state, render, and run the estimator on the recording."""
-    from dronevio.driver import estimate_recording
+    from dronevio.estimators.driver import estimate_recording
     from dronevio.eval.map_results import map_results
     from dronevio.eval.rerun.files import run_file
-    from dronevio.recorder import record_flight
+    from dronevio.recording.recorder import record_flight
 
     progress = {name: bars.bar(name) for name in ("simulating", "rendering", "estimating")}
     flight = record_flight(scenario, folder / "recording", progress["simulating"], progress["rendering"])
@@ -105,12 +105,12 @@ def _flown_live(
     Raises:
         ConfigError: A live view is requested.
     """
-    from dronevio.driver import TimedEstimator
+    from dronevio.estimators.driver import TimedEstimator
     from dronevio.eval.map_results import map_results
     from dronevio.eval.rerun.files import write_rrd
     from dronevio.models.defects import defects_of
     from dronevio.models.errors import ConfigError
-    from dronevio.recorder import record_closed_loop
+    from dronevio.recording.recorder import record_closed_loop
     from dronevio.sim.envs.mission import policy_outcome
     from dronevio.sim.envs.pilot import PolicyPilot
 
@@ -190,7 +190,7 @@ def _scored(recording: "Recording", run: "EstimatorRun") -> "ScoredTrajectory":
     Raises:
         EvaluationError: The run has no pose.
     """
-    from dronevio.driver import require_poses
+    from dronevio.estimators.driver import require_poses
     from dronevio.eval.metrics.scores import score_trajectory
 
     assert recording.ground_truth is not None

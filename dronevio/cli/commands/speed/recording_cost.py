@@ -14,7 +14,7 @@ from dronevio.models.performance import PerformanceFigure
 from dronevio.models.progress import Progress, silent
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import rig_named
-from dronevio.recorder import record_flight
+from dronevio.recording.recorder import record_flight
 from dronevio.sim.flight import fly
 from dronevio.sim.paths.plan import FlightPlan
 from dronevio.sim.rendering.frame_renderer import thumbnail

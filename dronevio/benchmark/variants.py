@@ -39,7 +39,7 @@ class Variant:
 
 def _other_rig(flown: "Scenario", name: str) -> "Scenario":
     """Return a scenario with other sensors, see `recorder.rig_of`."""
-    from dronevio.recorder import rig_of
+    from dronevio.recording.recorder import rig_of
 
     return replace(flown, rig=rig_of(name))
 

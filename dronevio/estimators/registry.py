@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dronevio.estimators.external_program import OUTPUT, RECORDING, ProgramRun, run_program
+from dronevio.estimators.python_estimator import PREFIX as PYTHON
+from dronevio.estimators.python_estimator import PythonEstimator
 from dronevio.eval.run import EstimatorRun
-from dronevio.external_program import OUTPUT, RECORDING, ProgramRun, run_program
 from dronevio.models.defects import Defect, refuse_defects
 from dronevio.models.errors import ConfigError
 from dronevio.models.protocols import Estimator
 from dronevio.models.rig import Rig
 from dronevio.models.serialization import to_jsonable
 from dronevio.models.state import Trajectory
-from dronevio.python_estimator import PREFIX as PYTHON
-from dronevio.python_estimator import PythonEstimator
 
 if TYPE_CHECKING:
     from dronevio.estimator.slam.worker.map_builder import MapCost
@@ -181,9 +181,9 @@ class NamedEstimator:
             return _of_program(
                 run_program(shlex.split(self.name[external.end() :]), path, float(external[1] or 0.0), strict)
             )
-        from dronevio.driver import estimate_recording, require_poses
-        from dronevio.excerpts import excerpt_of
+        from dronevio.estimators.driver import estimate_recording, require_poses
         from dronevio.models.recordings.open import open_recording
+        from dronevio.recording.excerpts import excerpt_of
 
         own = PythonEstimator.parse(self.name) if self.name.startswith(PYTHON) else None
         kind = None if own else ESTIMATORS[self.name]

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import dronevio
-from dronevio.benchmark_variants import AS_IS, RIG, variant_of
+from dronevio.benchmark.measured_flights import MeasuredFlight
+from dronevio.benchmark.variants import AS_IS, RIG, variant_of
+from dronevio.estimators.registry import NamedEstimator
 from dronevio.eval.benchmark.cache import code_hash, content_hash, recording_hash
 from dronevio.eval.benchmark.jobs import RecordingSpec
 from dronevio.eval.benchmark.rows import VARIANT_SIGN
 from dronevio.eval.provenance import versions_here
-from dronevio.measured_flights import MeasuredFlight
 from dronevio.models.defects import defects_text
 from dronevio.models.errors import ConfigError, EvaluationError, InputError
 from dronevio.models.imu import Times
 from dronevio.models.rig import euroc_rig
 from dronevio.models.serialization import to_jsonable
-from dronevio.registry import NamedEstimator
 
 if TYPE_CHECKING:
     from dronevio.eval.metrics.loops import FlightRevisits
@@ -74,7 +74,7 @@ class Workbench:
 
     def record(self, spec: RecordingSpec, folder: Path, images: Path | None = None) -> None:
         """Write the recording of a flight, with the images of another recording if there is one."""
-        from dronevio.recorder import record_flight
+        from dronevio.recording.recorder import record_flight
         from dronevio.sim.scenario import Scenario
 
         self._check_here()
@@ -90,8 +90,8 @@ class Workbench:
         from dronevio.eval.benchmark.isolation import peak_memory_mb
         from dronevio.eval.metrics.scores import score_trajectory
         from dronevio.eval.tracking import longest_loss_s, tracking_sigmas
-        from dronevio.excerpts import excerpt_of
         from dronevio.models.recordings.open import open_recording
+        from dronevio.recording.excerpts import excerpt_of
 
         self._check_here()
         opened = excerpt_of(open_recording(recording, 1, repair=True), spec.start_s, spec.laps)
@@ -167,7 +167,7 @@ def scenario_flights(
     found = {name: scenario_named(name) for given in names for name in SUITES.get(given, (given,))}
     unique = {flown.name: flown for flown in found.values()}
     if rig is not None:
-        from dronevio.recorder import rig_of
+        from dronevio.recording.recorder import rig_of
 
         chosen = rig_of(rig)
         unique = {name: replace(flown, rig=chosen) for name, flown in unique.items()}
@@ -290,7 +290,7 @@ def _revisits(recording: Path, slam_map: "SlamMap | None") -> "FlightRevisits | 
 
 
 def _find_revisits(recording: Path, keyframe_times_ns: Times) -> "FlightRevisits":
-    from dronevio.true_views import recording_revisits  # imports the simulator
+    from dronevio.benchmark.true_views import recording_revisits  # imports the simulator
 
     return recording_revisits(recording, keyframe_times_ns)
 

@@ -64,7 +64,7 @@ class MeasuredFlight:
         """
         from dronevio.models.recordings.euroc import read_imu
         from dronevio.models.recordings.tum import read_trajectory
-        from dronevio.recorder import record_refly
+        from dronevio.recording.recorder import record_refly
         from dronevio.sim.refly import cut, refly
 
         path, imu = self.files

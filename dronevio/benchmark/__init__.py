@@ -1,0 +1,1 @@
+"""Benchmarks of the application: their flights, the variants of flights, and the jobs that estimate them."""

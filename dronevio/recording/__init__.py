@@ -1,0 +1,1 @@
+"""Recordings that the application makes: simulated flights, excerpts, and videos with an unknown IMU rotation."""
