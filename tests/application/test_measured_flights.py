@@ -11,7 +11,8 @@ import pytest
 
 from dronevio.benchmark.jobs import Workbench, measured_recordings, versions
 from dronevio.benchmark.measured_flights import MEASURED, measured_flights, measured_name
-from dronevio.cli import benchmark, main
+from dronevio.cli import main
+from dronevio.cli.commands import benchmark
 from dronevio.cli.terminal import parse
 from dronevio.models.errors import ConfigError
 from dronevio.models.recordings.euroc import EurocRecording, read_imu
