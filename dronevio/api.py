@@ -10,12 +10,12 @@ from dronevio.estimator.array_store import ArrayStore
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.dense.config import DenseConfig
 from dronevio.estimator.dense.pipeline import DenseResult, densify
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.sfm.config import SfmConfig
 from dronevio.estimator.sfm.model import KnownPoses
 from dronevio.estimator.sfm.pipeline import SfmResult, reconstruct
 from dronevio.estimator.sfm.workspace import Workspace
 from dronevio.estimator.slam.visual_slam import VisualSlam
-from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.estimators.driver import TimedEstimator, estimate_recording
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.errors import ConfigError, InputError

@@ -24,7 +24,7 @@ import tyro
 from alterations import ALTERATIONS, Files, read_files, write_files
 
 from dronevio.cli.terminal import print_table
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.alignment import align
 from dronevio.eval.metrics.association import interpolate

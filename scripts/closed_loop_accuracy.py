@@ -29,7 +29,7 @@ import numpy as np
 import tyro
 
 from dronevio.cli.terminal import print_table
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimators.driver import TimedEstimator, estimate_recording
 from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.models.imu import ImuSamples, Times

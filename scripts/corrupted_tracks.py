@@ -18,8 +18,8 @@ import numpy.typing as npt
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.protocol import AtExposure, FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.types import Observations
-from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, NavState

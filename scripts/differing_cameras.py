@@ -21,7 +21,7 @@ import numpy.typing as npt
 import tyro
 
 from dronevio.cli.terminal import print_table
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.run import EstimatorRun
 from dronevio.evaluation import ate

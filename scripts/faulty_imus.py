@@ -26,7 +26,7 @@ from wrong_inputs import ChangedRecording, section_of
 
 from dronevio.cli.terminal import print_table
 from dronevio.estimator.imu.outliers import outlying_samples
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.scores import score
 from dronevio.eval.run import EstimatorRun

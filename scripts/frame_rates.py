@@ -24,7 +24,7 @@ from similarity import gyro_bias_of, jittered, part_of, similar
 
 from dronevio.cli.terminal import print_table
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.models.protocols import Recording

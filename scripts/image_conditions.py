@@ -28,7 +28,7 @@ from image_realism import Array, Section, Tracked, by_age, front_end_tracks, ref
 from markdown_tables import table, text
 from wrong_inputs import ChangedRecording
 
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.scores import score
 from dronevio.models.errors import EvaluationError

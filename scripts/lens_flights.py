@@ -16,7 +16,7 @@ import tyro
 from markdown_tables import table
 from rendered_conditions import render
 
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.scores import score
 from dronevio.models.camera import CameraModel

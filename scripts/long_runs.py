@@ -20,8 +20,8 @@ import psutil
 import tyro
 
 from dronevio.cli.terminal import print_table
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.types import Observations
-from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import rotation_z

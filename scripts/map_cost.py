@@ -21,9 +21,9 @@ import numpy as np
 import tyro
 from markdown_tables import table
 
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.estimator.slam.worker.map_builder import MapCost
-from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.imu import ImuSamples, Times

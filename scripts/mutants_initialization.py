@@ -110,7 +110,7 @@ INITIALIZATION = (
     Mutant(
         "loss-discards-collected-frames",
         "Loss after exchanged images: the initialization begins with the loss.",
-        "estimator/vio.py",
+        "estimator/odometry.py",
         "self._restart or self._initializer(monitor.is_trusted), None",
         "self._initializer(monitor.is_trusted), None",
         ("tests/estimator/test_carried.py",),
@@ -118,10 +118,10 @@ INITIALIZATION = (
     Mutant(
         "loss-ignores-changed-bias",
         "Health: the accelerometer bias may change with the images.",
-        "estimator/health.py",
+        "estimator/monitoring/health.py",
         "if not self._trust.is_trusted or self._has_bias_changed(predicted):",
         "if not self._trust.is_trusted:",
-        ("tests/estimator/test_health.py",),
+        ("tests/estimator/monitoring/test_health.py",),
     ),
     Mutant(
         "start-outliers-not-named",
@@ -190,17 +190,17 @@ INITIALIZATION = (
     Mutant(
         "trust-window-by-frames",
         "Trust: the median counts from the third frame on, at any frame rate.",
-        "estimator/trust.py",
+        "estimator/monitoring/consistency.py",
         "len(values) >= MIN_FRAMES and self._covers(MIN_SPAN_S)",
         "len(values) >= MIN_FRAMES",
-        ("tests/estimator/test_trust.py",),
+        ("tests/estimator/monitoring/test_consistency.py",),
     ),
     Mutant(
         "trust-window-without-tolerance",
         "Trust: whether a window is full depends on the rounding of time stamps.",
-        "estimator/trust.py",
+        "estimator/monitoring/consistency.py",
         "span_s - TIME_TOLERANCE_S",
         "span_s + 1e-7",
-        ("tests/estimator/test_trust.py",),
+        ("tests/estimator/monitoring/test_consistency.py",),
     ),
 )

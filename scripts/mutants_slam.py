@@ -236,10 +236,10 @@ SLAM = (
     Mutant(
         "connected-by-few-features",
         "Image connection: eight features connect two keyframes, however many there are.",
-        "estimator/image_connection.py",
+        "estimator/monitoring/image_connection.py",
         "max(MIN_FEATURES, MIN_SHARE * fewer)",
         "MIN_FEATURES",
-        ("tests/estimator/test_image_connection.py::test_keyframes_without_common_features_are_not_connected",),
+        ("tests/estimator/monitoring/test_image_connection.py::test_keyframes_without_common_features_are_not_connected",),
     ),
     Mutant(
         "join-by-one-keyframe",

@@ -28,7 +28,7 @@ from seeds import accuracy
 
 from dronevio.cli import main
 from dronevio.cli.commands.view import HOST, free_port, viewer_program
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimators.driver import estimate_recording
 from dronevio.eval import colours
 from dronevio.eval.metrics.scores import score_trajectory

@@ -28,7 +28,7 @@ from typing import Annotated, Literal
 import tyro
 
 from dronevio.cli.terminal import print_table
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimators.driver import TimedEstimator
 from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.models.policies.policy_file import load_policy

@@ -104,7 +104,7 @@ def stage_of(frame: FrameType) -> str:
     for stage, module, words in STAGES:
         if any(name.startswith(module) and words in line for name, line in stack):
             return stage
-    return OTHER if any(name == "estimator/vio.py" for name, _ in stack) else OUTSIDE
+    return OTHER if any(name == "estimator/odometry.py" for name, _ in stack) else OUTSIDE
 
 
 @cache
@@ -154,7 +154,7 @@ def profile_tables(profile: Profile, frames: int) -> str:
 def main(command: ProfileCommand) -> int:
     """Profile the odometry on a recording and print the tables."""
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before NumPy is imported
-    from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.estimator.odometry import VisualInertialOdometry
     from dronevio.estimators.driver import estimate_recording
     from dronevio.models.recordings.open import open_recording
 

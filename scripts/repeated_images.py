@@ -21,7 +21,7 @@ from time_offsets import ate_m
 from wrong_inputs import ChangedRecording, section_of
 
 from dronevio.cli.terminal import print_table
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimators.driver import estimate_recording
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.state import CameraFrame, Health

@@ -22,7 +22,7 @@ import cv2
 import tyro
 
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements
 from dronevio.models.ranges import RangeError, number_fields

@@ -26,8 +26,8 @@ from dronevio.estimator.initialization.not_observable import (
     ROTATION_DISAGREES,
     SENSORS_SWAPPED,
 )
+from dronevio.estimator.odometry import IMPLAUSIBLE_CALIBRATION, VisualInertialOdometry
 from dronevio.estimator.output import REPEATED_IMAGES
-from dronevio.estimator.vio import IMPLAUSIBLE_CALIBRATION, VisualInertialOdometry
 from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.consistency import errors_and_sigmas_m

@@ -51,7 +51,7 @@ def _vio_settings() -> object:
 
 
 def _vio(rig: Rig) -> Estimator:
-    from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.estimator.odometry import VisualInertialOdometry
 
     return VisualInertialOdometry(rig)
 

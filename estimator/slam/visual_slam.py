@@ -19,6 +19,7 @@ from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.preintegration import PreintegrationParams
 from dronevio.estimator.keyframe_observer import OdometryKeyframe
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.slam.adjustment.adjuster import solved
 from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentInputs
 from dronevio.estimator.slam.adjustment.final_graph import at_optimum, measured_in_map
@@ -46,7 +47,6 @@ from dronevio.estimator.slam.worker.map_builder import (
 )
 from dronevio.estimator.slam.worker.map_process import MapProcess
 from dronevio.estimator.threads import single_threaded
-from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.map_correction import MapCorrection

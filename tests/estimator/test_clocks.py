@@ -9,8 +9,8 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.frontend.protocol import FrontEnd
+from dronevio.estimator.odometry import TIME_OFFSET_FOUND, WRONG_TIME_OFFSET, VisualInertialOdometry
 from dronevio.estimator.types import Observations
-from dronevio.estimator.vio import TIME_OFFSET_FOUND, WRONG_TIME_OFFSET, VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements

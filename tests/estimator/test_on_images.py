@@ -13,7 +13,7 @@ import pytest
 
 from dronevio.cli import main
 from dronevio.estimator.book.eqvio import read_feature_recording
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.alignment import align
 from dronevio.eval.run import EstimatorRun

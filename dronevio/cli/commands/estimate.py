@@ -358,7 +358,7 @@ def estimated(command: EstimateCommand, recording: "StoredRecording") -> Estimat
     Raises:
         EvaluationError: There is no pose.
     """
-    from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.estimator.odometry import VisualInertialOdometry
     from dronevio.estimators.driver import ImuRateObserver, estimate_recording, require_poses
 
     config = command.estimator

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from dronevio.cli.commands.run import RunCommand
     from dronevio.cli.progress import Bars
+    from dronevio.estimator.odometry import VisualInertialOdometry
     from dronevio.estimator.slam.visual_slam import VisualSlam
-    from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.estimators.driver import RunObserver
     from dronevio.eval.map_results import MapResults
     from dronevio.eval.metrics.scores import ScoredTrajectory
@@ -154,7 +154,7 @@ def _estimator(command: "RunCommand", rig: "Rig") -> "VisualInertialOdometry | V
         from dronevio.estimator.slam.visual_slam import VisualSlam
 
         return VisualSlam(rig, command.estimator, command.map)
-    from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.estimator.odometry import VisualInertialOdometry
 
     return VisualInertialOdometry(rig, command.estimator)
 

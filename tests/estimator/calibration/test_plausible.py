@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.health import HealthConfig
-from dronevio.estimator.vio import IMPLAUSIBLE_CALIBRATION
+from dronevio.estimator.monitoring.health import HealthConfig
+from dronevio.estimator.odometry import IMPLAUSIBLE_CALIBRATION
 from dronevio.eval.run import is_warning
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, pose_matrix

@@ -10,7 +10,7 @@ import pytest
 
 from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
 from dronevio.estimator.backend.reprojection import MEDIAN_CHI2_2DOF
-from dronevio.estimator.health import IMAGE_VARIANCES, HealthConfig, HealthMonitor
+from dronevio.estimator.monitoring.health import IMAGE_VARIANCES, HealthConfig, HealthMonitor
 from dronevio.estimator.types import NO_FEATURES, Calibration, Observations
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix

@@ -9,8 +9,14 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.imu.buffer import Increments
-from dronevio.estimator.plausibility import LEAST_CORRECTIONS, MAX_SIGMAS, MAX_SPEED_M_S, MotionLimits, reason_against
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.monitoring.plausibility import (
+    LEAST_CORRECTIONS,
+    MAX_SIGMAS,
+    MAX_SPEED_M_S,
+    MotionLimits,
+    reason_against,
+)
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements
 from dronevio.models.rotation import exp_so3, log_so3, pose_matrix

@@ -19,7 +19,7 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.innovation import Innovation, median
+from dronevio.estimator.monitoring.innovation import Innovation, median
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.state import NavState
 

@@ -13,7 +13,7 @@ from dronevio.estimator.backend.marginal_prior import MarginalPrior
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.noise import ImuNoiseEstimator
-from dronevio.estimator.vio import EXCESSIVE_NOISE, VisualInertialOdometry
+from dronevio.estimator.odometry import EXCESSIVE_NOISE, VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from dronevio.estimator.trust import Trust, TrustLimits
+from dronevio.estimator.monitoring.consistency import Trust, TrustLimits
 
 STEP_NS = 50_000_000
 LIMITS = TrustLimits(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dronevio.estimator.image_connection import ImageConnection, are_connected
+from dronevio.estimator.monitoring.image_connection import ImageConnection, are_connected
 from dronevio.estimator.types import Observations
 
 

@@ -9,8 +9,8 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.innovation import Innovation, PredictionUncertainty
-from dronevio.estimator.stamp_error import StampConfig, StampCorrection, exposure_error
+from dronevio.estimator.monitoring.innovation import Innovation, PredictionUncertainty
+from dronevio.estimator.monitoring.stamp_error import StampConfig, StampCorrection, exposure_error
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.rotation import cross, exp_so3, pose_matrix
 from dronevio.models.state import Estimate, Health, NavState, Trajectory

@@ -25,8 +25,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
-from dronevio.estimator.innovation import Innovation, PredictionUncertainty, innovation, median
-from dronevio.estimator.trust import Trust, TrustLimits
+from dronevio.estimator.monitoring.consistency import Trust, TrustLimits
+from dronevio.estimator.monitoring.innovation import Innovation, PredictionUncertainty, innovation, median
 from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.imu import ImuModel
 from dronevio.models.ranges import Range, Settings

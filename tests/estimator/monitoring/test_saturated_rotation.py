@@ -9,8 +9,8 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.imu.buffer import Increments
-from dronevio.estimator.innovation import Innovation, PredictionUncertainty
-from dronevio.estimator.saturated_rotation import (
+from dronevio.estimator.monitoring.innovation import Innovation, PredictionUncertainty
+from dronevio.estimator.monitoring.saturated_rotation import (
     MIN_LANDMARKS,
     SIGMA_INFLATION,
     missing_rotation,

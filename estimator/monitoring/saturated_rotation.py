@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments
-from dronevio.estimator.innovation import Innovation, median
+from dronevio.estimator.monitoring.innovation import Innovation, median
 
 Array = npt.NDArray[np.float64]
 

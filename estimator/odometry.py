@@ -21,8 +21,6 @@ from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frame_queue import FrameQueue
 from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
-from dronevio.estimator.health import INCONSISTENT, HealthMonitor
-from dronevio.estimator.image_connection import ImageConnection
 from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
 from dronevio.estimator.imu.noise import ImuNoiseEstimator
 from dronevio.estimator.imu.preintegration import PreintegrationParams
@@ -31,12 +29,19 @@ from dronevio.estimator.initialization.initializer import Initializer
 from dronevio.estimator.initialization.not_observable import NotObservable
 from dronevio.estimator.initialization.zero_velocity import ZeroVelocityDetector
 from dronevio.estimator.keyframe_observer import KeyframeObserver, OdometryKeyframe
+from dronevio.estimator.monitoring.health import INCONSISTENT, HealthMonitor
+from dronevio.estimator.monitoring.image_connection import ImageConnection
+from dronevio.estimator.monitoring.plausibility import MotionLimits, reason_against
+from dronevio.estimator.monitoring.saturated_rotation import (
+    ITERATIONS,
+    missing_rotation,
+    saturated_sigma_rad,
+    with_rotation,
+)
+from dronevio.estimator.monitoring.stamp_error import StampCorrection
 from dronevio.estimator.output import Publisher
 from dronevio.estimator.pipeline import MeasurementPipeline
-from dronevio.estimator.plausibility import MotionLimits, reason_against
 from dronevio.estimator.propagator import Propagator, propagated, velocity_may_be_zero
-from dronevio.estimator.saturated_rotation import ITERATIONS, missing_rotation, saturated_sigma_rad, with_rotation
-from dronevio.estimator.stamp_error import StampCorrection
 from dronevio.estimator.threads import single_threaded
 from dronevio.estimator.types import Calibration, FramePacket, Observations
 from dronevio.models.imu import ImuSamples
