@@ -239,7 +239,9 @@ SLAM = (
         "estimator/monitoring/image_connection.py",
         "max(MIN_FEATURES, MIN_SHARE * fewer)",
         "MIN_FEATURES",
-        ("tests/estimator/monitoring/test_image_connection.py::test_keyframes_without_common_features_are_not_connected",),
+        (
+            "tests/estimator/monitoring/test_image_connection.py::test_keyframes_without_common_features_are_not_connected",
+        ),
     ),
     Mutant(
         "join-by-one-keyframe",

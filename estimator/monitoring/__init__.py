@@ -6,7 +6,7 @@ from dronevio._lazy import attach
 
 if TYPE_CHECKING:
     from dronevio.estimator.monitoring.health import HealthConfig, HealthMonitor
-    from dronevio.estimator.monitoring.innovation import Innovation, innovation
+    from dronevio.estimator.monitoring.innovation import Innovation
     from dronevio.estimator.monitoring.stamp_error import StampConfig, StampCorrection
 
 __all__ = [
@@ -15,7 +15,6 @@ __all__ = [
     "Innovation",
     "StampConfig",
     "StampCorrection",
-    "innovation",
 ]
 
 __getattr__, __dir__ = attach(
@@ -25,10 +24,7 @@ __getattr__, __dir__ = attach(
             "HealthConfig",
             "HealthMonitor",
         ),
-        "dronevio.estimator.monitoring.innovation": (
-            "Innovation",
-            "innovation",
-        ),
+        "dronevio.estimator.monitoring.innovation": ("Innovation",),
         "dronevio.estimator.monitoring.stamp_error": (
             "StampConfig",
             "StampCorrection",
