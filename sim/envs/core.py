@@ -12,19 +12,19 @@ from gymnasium import spaces
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
 from dronevio.models.rotation import pose_matrix
-from dronevio.sim.envs.actions import action_mode, checked_actions
-from dronevio.sim.envs.arrangement import Arrangement
-from dronevio.sim.envs.batches import with_rows
-from dronevio.sim.envs.camera_observation import Images
-from dronevio.sim.envs.endings import GROUND_M, REASONS, Bounds, failures
-from dronevio.sim.envs.estimation import EstimatorFactory
-from dronevio.sim.envs.estimator_loop import EstimatorLoop
-from dronevio.sim.envs.held_images import rendered_images
-from dronevio.sim.envs.imu_window import ImuWindow
-from dronevio.sim.envs.latency import DelayedActions
-from dronevio.sim.envs.observations import Situation, limits_of, observation_named
-from dronevio.sim.envs.options import overridden
-from dronevio.sim.envs.randomization import Draws
+from dronevio.sim.envs.episodes.actions import action_mode, checked_actions
+from dronevio.sim.envs.episodes.batches import with_rows
+from dronevio.sim.envs.episodes.endings import GROUND_M, REASONS, Bounds, failures
+from dronevio.sim.envs.episodes.latency import DelayedActions
+from dronevio.sim.envs.episodes.options import overridden
+from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.sensing.arrangement import Arrangement
+from dronevio.sim.envs.sensing.camera_observation import Images
+from dronevio.sim.envs.sensing.estimation import EstimatorFactory
+from dronevio.sim.envs.sensing.estimator_loop import EstimatorLoop
+from dronevio.sim.envs.sensing.held_images import rendered_images
+from dronevio.sim.envs.sensing.imu_window import ImuWindow
+from dronevio.sim.envs.sensing.observations import Situation, limits_of, observation_named
 from dronevio.sim.envs.settings import EnvironmentSettings
 from dronevio.sim.envs.tasks import Objective, Transition
 from dronevio.sim.envs.tasks.task import distance_m
@@ -125,7 +125,7 @@ class DroneCore:
 
         Args:
             mask: (n,) The environments to reset.
-            options: Values to use instead of drawn ones; see `dronevio.sim.envs.options`.
+            options: Values to use instead of drawn ones; see `dronevio.sim.envs.episodes.options`.
 
         Returns:
             The drawn values and the goals by name, arrays of n rows.

@@ -8,10 +8,10 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import RESEARCH, Quadrotor, vehicle_named
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig, euroc_rig
-from dronevio.sim.envs.camera_observation import ImageKind
-from dronevio.sim.envs.estimation import Estimation, EstimatorFactory
-from dronevio.sim.envs.observations import IMAGES
-from dronevio.sim.envs.randomization import NOTHING_RANDOM, Randomization
+from dronevio.sim.envs.episodes.randomization import NOTHING_RANDOM, Randomization
+from dronevio.sim.envs.sensing.camera_observation import ImageKind
+from dronevio.sim.envs.sensing.estimation import Estimation, EstimatorFactory
+from dronevio.sim.envs.sensing.observations import IMAGES
 from dronevio.sim.envs.tasks import AnyTask, Hover, task_named
 from dronevio.sim.physics.wind import CALM, Wind
 
@@ -38,7 +38,7 @@ class EnvironmentSettings(Settings):
     action_limits: ActionLimits = field(default_factory=ActionLimits)
     """Largest rates, tilt and velocities that actions command."""
     observations: tuple[str, ...] = ()
-    """Names of the observations, see `dronevio.sim.envs.observations`; those of the task by default."""
+    """Names of the observations, see `dronevio.sim.envs.sensing.observations`; those of the task by default."""
     privileged: tuple[str, ...] = ()
     """Names of further observations for a critic. The observation is then a ``Dict`` with the entries ``policy`` and
     ``critic``."""
@@ -62,7 +62,7 @@ class EnvironmentSettings(Settings):
     actions by default."""
     estimator: EstimatorFactory | None = None
     """Function that returns an estimator for a rig; the policy and the inner control loops then see its estimate
-    instead of the true state, see `dronevio.sim.envs.estimation`. None uses the true state."""
+    instead of the true state, see `dronevio.sim.envs.sensing.estimation`. None uses the true state."""
     estimation: Estimation = field(default_factory=Estimation)
     """Settings of the estimator in the loop: latency, longest wait, darkness and image sensors."""
     threads: Annotated[int, Range(0, 1024)] = 1

@@ -9,8 +9,8 @@ from gymnasium import spaces
 
 from dronevio.models.imu import Times
 from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.sim.envs.camera_observation import CameraObservation, Images, ImageSettings, RenderedObservation
-from dronevio.sim.envs.randomization import Draws
+from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.sensing.camera_observation import CameraObservation, Images, ImageSettings, RenderedObservation
 from dronevio.sim.envs.settings import EnvironmentSettings
 from dronevio.sim.physics.vehicle_states import Mask
 

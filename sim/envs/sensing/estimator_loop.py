@@ -10,11 +10,11 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rotation import cross, exp_so3, inverse_pose, log_so3, pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import Estimate, Health, NavState
-from dronevio.sim.envs.delayed_frames import DelayedFrames
-from dronevio.sim.envs.estimation import CameraSetup, EstimatorFactory
-from dronevio.sim.envs.randomization import Draws
+from dronevio.sim.closed_loop.estimated_state import EstimatedState
+from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.sensing.delayed_frames import DelayedFrames
+from dronevio.sim.envs.sensing.estimation import CameraSetup, EstimatorFactory
 from dronevio.sim.envs.settings import EnvironmentSettings
-from dronevio.sim.estimated_state import EstimatedState
 from dronevio.sim.physics.vehicle_states import VehicleStates
 
 Array = npt.NDArray[np.float64]
@@ -150,7 +150,7 @@ class EstimatorLoop:
         return self._perceived.states(self._truth)
 
     def info(self) -> dict[str, Any]:
-        """Return values by name, arrays of one row; see `dronevio.sim.envs.estimation`."""
+        """Return values by name, arrays of one row; see `dronevio.sim.envs.sensing.estimation`."""
         truth, estimate, newest = self._truth, self.states(), self._newest
         report = None if newest is None else newest.health_report
         turn = truth.R_world_vehicle.mT @ estimate.R_world_vehicle

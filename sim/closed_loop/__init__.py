@@ -1,0 +1,1 @@
+"""Flights on the estimated state: a control loop that is closed over an estimator."""

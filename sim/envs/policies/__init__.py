@@ -1,0 +1,1 @@
+"""Policies in the simulator: a built-in one, conversion of trained ones, and their flights as scenarios."""

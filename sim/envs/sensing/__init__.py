@@ -1,0 +1,1 @@
+"""What a policy perceives: observations, images, IMU samples and the estimate of an estimator."""

@@ -1,0 +1,1 @@
+"""Pictures of worlds and vehicles for people, and the texturedness that a camera sees."""

@@ -1,0 +1,1 @@
+"""Speed of the simulator: figures of the processor time that it takes."""
