@@ -28,7 +28,7 @@ from dronevio.models.recordings.segments import segments_of
 from dronevio.models.rig import Rig
 from dronevio.recording.recorder import record_closed_loop, record_flight
 from dronevio.sfm_inputs import EarlierResult, read_earlier, read_poses
-from dronevio.sim.loop_settings import LoopSettings
+from dronevio.sim.closed_loop.settings import LoopSettings
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.scenarios import scenario_named
 

@@ -13,7 +13,7 @@ import gymnasium
 from dronevio.models.rig import Rig, euroc_rig
 
 if TYPE_CHECKING:
-    from dronevio.sim.envs.estimation import EstimatorFactory
+    from dronevio.sim.envs.sensing.estimation import EstimatorFactory
     from dronevio.sim.envs.single import DroneEnv
     from dronevio.sim.envs.tasks import AnyTask
 

@@ -35,7 +35,7 @@ from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Trajectory
-from dronevio.sim.closed_loop import fly_closed_loop
+from dronevio.sim.closed_loop.flight import fly_closed_loop
 from dronevio.sim.flight import Flight, fly
 from dronevio.sim.rendering.live_cameras import LiveCameras
 from dronevio.sim.scenario import Scenario

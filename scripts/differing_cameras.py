@@ -30,7 +30,7 @@ from dronevio.models.protocols import Recording
 from dronevio.models.recordings.calibration.kalibr import camchain_yaml, imu_yaml
 from dronevio.models.recordings.calibration.reading import read_calibrated_rig
 from dronevio.models.recordings.euroc import EurocRecording, read_imu, write_euroc
-from dronevio.models.recordings.tum import read_trajectory
+from dronevio.models.recordings.trajectory_file import read_trajectory_file
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.state import CameraFrame, Health, Trajectory
 from dronevio.recording.recorder import rig_of
@@ -201,7 +201,7 @@ def row_of(name: str, run: EstimatorRun, error_m: float, paired_m: float | None)
 
 def recordings(command: DifferingCamerasCommand, seed: int) -> dict[str, Recording]:
     """Return the recordings of a seed by name, the one with simultaneous exposures first."""
-    path = cut(read_trajectory(command.trajectory), command.start_s, command.duration_s)
+    path = cut(read_trajectory_file(command.trajectory), command.start_s, command.duration_s)
     imu = None if command.imu is None else read_imu(command.imu)
     flown = refly(path, imu, rig_of(command.rig), command.world, seed)
     out, count = command.out / f"{command.world}-{seed}", len(flown.schedule)

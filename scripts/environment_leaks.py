@@ -18,7 +18,7 @@ from typing import Any
 
 import gymnasium
 
-from dronevio.sim.chase_camera import CHASE_CAMERAS
+from dronevio.sim.pictures.chase_camera import CHASE_CAMERAS
 from dronevio.sim.rendering.loaded_world import LOADED_WORLDS
 
 ID = "dronevio.envs:dronevio/Hover-v0"

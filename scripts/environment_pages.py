@@ -22,7 +22,9 @@ from environment_pictures import picture_name
 
 import dronevio.envs  # noqa: F401 registers the environments
 from dronevio.models.actions import ActionLimits
-from dronevio.sim.envs import actions, estimation, observations, options, randomization, settings, single
+from dronevio.sim.envs import settings, single
+from dronevio.sim.envs.episodes import actions, options, randomization
+from dronevio.sim.envs.sensing import estimation, observations
 
 NAMESPACE = "dronevio"
 ARGUMENTS_PAGE = "arguments.md"

@@ -18,7 +18,7 @@ from typing import Any
 import tyro
 
 from dronevio.cli.terminal import print_table
-from dronevio.sim.batch_throughput import batch_speed
+from dronevio.sim.speed.batch_throughput import batch_speed
 
 _SCRIPT = Path(__file__).with_name("rival_speed.py")
 LEFT_OUT = {

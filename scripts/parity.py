@@ -37,7 +37,7 @@ from dronevio.eval.metrics import (
 from dronevio.eval.metrics.errors import distance_errors_percent
 from dronevio.eval.metrics.kitti import KittiAlignment, kitti_scores
 from dronevio.models.recordings.kitti import read_kitti_poses
-from dronevio.models.recordings.tum import read_trajectory
+from dronevio.models.recordings.trajectory_file import read_trajectory_file
 from dronevio.models.state import Trajectory
 
 Array = npt.NDArray[np.float64]
@@ -75,7 +75,7 @@ class Comparison:
 @cache
 def read_once(path: Path) -> Trajectory:
     """Return a trajectory with all its rows."""
-    return read_trajectory(path, "keep")
+    return read_trajectory_file(path, "keep")
 
 
 def difference(ours: float, theirs: float) -> float:
@@ -200,7 +200,7 @@ def rpg_rows(folder: Path) -> Iterator[Comparison]:
         what = f"{row['alg']} {row['seq']} run {row['run']} {row['align']}({row['n_align']})"
         name = {"vislam_ba": "stamped_ba_estimate", "vislam_rp": "stamped_traj_estimate"}[row["alg"]]
         truth = read_once(folder / "rpg" / "vislam_ba" / row["seq"] / "stamped_groundtruth.txt")
-        estimate = read_trajectory(folder / "rpg" / row["alg"] / row["seq"] / f"{name}{row['run']}.txt")
+        estimate = read_trajectory_file(folder / "rpg" / row["alg"] / row["seq"] / f"{name}{row['run']}.txt")
         true, estimated = associate(truth, estimate, "nearest", 0.02)
         motion = align(
             true.p_world_imu,
@@ -272,7 +272,7 @@ def kitti_rows(folder: Path) -> Iterator[Comparison]:
 def tum_rows(folder: Path) -> Iterator[Comparison]:
     """Compare the figures of TUM's scripts, which have six decimals."""
     names = "freiburg1_xyz-groundtruth.txt", "freiburg1_xyz-rgbdslam.txt"
-    truth, estimate = (read_trajectory(folder / "evo" / name) for name in names)
+    truth, estimate = (read_trajectory_file(folder / "evo" / name) for name in names)
     true, estimated = associate(truth, estimate, "nearest", 0.02)
     motion = align(true.p_world_imu, estimated.p_world_imu, "se3")
     ate = Statistics.of(translation_errors_m(true.p_world_imu, motion.positions(estimated.p_world_imu)))

@@ -35,11 +35,11 @@ from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rotation import inverse_pose
-from dronevio.sim.chase_camera import ChaseCamera
+from dronevio.sim.pictures.chase_camera import ChaseCamera
+from dronevio.sim.pictures.contact_sheet import LENS, VIEWS, VIEWS_EACH, contact_sheet, sheet_of_worlds, views
+from dronevio.sim.pictures.world_pictures import pictures_of_worlds
 from dronevio.sim.scenarios import scenario_named
 from dronevio.sim.world import WORLDS, build_world
-from dronevio.sim.worlds.contact_sheet import LENS, VIEWS, VIEWS_EACH, contact_sheet, sheet_of_worlds, views
-from dronevio.sim.worlds.world_pictures import pictures_of_worlds
 
 Picture = npt.NDArray[np.uint8]
 

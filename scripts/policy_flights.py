@@ -32,7 +32,7 @@ from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimators.driver import TimedEstimator
 from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.models.policies.policy_file import load_policy
-from dronevio.sim.closed_loop import fly_closed_loop
+from dronevio.sim.closed_loop.flight import fly_closed_loop
 from dronevio.sim.envs import PolicyPilot, policy_mission, policy_outcome
 from dronevio.sim.rendering.live_cameras import LiveCameras
 from dronevio.sim.scenarios import scenario_named

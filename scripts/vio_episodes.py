@@ -26,8 +26,8 @@ from markdown_tables import numbers
 
 import dronevio.envs  # noqa: F401 registers
 from dronevio.cli.terminal import print_table
-from dronevio.sim.envs.estimation import Estimation
-from dronevio.sim.envs.goal_flight import fly_to_goal
+from dronevio.sim.envs.policies.goal_flight import fly_to_goal
+from dronevio.sim.envs.sensing.estimation import Estimation
 from dronevio.sim.envs.tasks import VioHover, VioNavigate
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS")

@@ -63,12 +63,12 @@ class MeasuredFlight:
             IncompleteError: An image cannot be written.
         """
         from dronevio.models.recordings.euroc import read_imu
-        from dronevio.models.recordings.tum import read_trajectory
+        from dronevio.models.recordings.trajectory_file import read_trajectory_file
         from dronevio.recording.recorder import record_refly
         from dronevio.sim.refly import cut, refly
 
         path, imu = self.files
-        section = cut(read_trajectory(path), self.start_s, self.duration_s)
+        section = cut(read_trajectory_file(path), self.start_s, self.duration_s)
         flown = refly(section, read_imu(imu), self.rig, self.world, self.seed)
         record_refly(flown, self.seed, folder, workers=1, imaging=self.imaging)
 

@@ -19,9 +19,9 @@ from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.serialization import to_jsonable
 from dronevio.models.state import CameraFrame
 from dronevio.sim.cameras.imaging import Imaging
-from dronevio.sim.closed_loop import Pilot, fly_closed_loop
+from dronevio.sim.closed_loop.flight import Pilot, fly_closed_loop
+from dronevio.sim.closed_loop.settings import LoopSettings
 from dronevio.sim.flight import Flight, fly
-from dronevio.sim.loop_settings import LoopSettings
 from dronevio.sim.refly import FlownPath
 from dronevio.sim.rendering.frame_files import write_frame
 from dronevio.sim.rendering.live_cameras import LiveCameras

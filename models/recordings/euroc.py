@@ -41,6 +41,7 @@ from dronevio.models.recordings.timed_table import (
     parse_integer_ns,
     read_timed_table,
 )
+from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rig import Rig, check_camera_count
 from dronevio.models.state import NO_IMAGE, CameraFrame, Trajectory
 
@@ -278,11 +279,7 @@ def _ground_truth_of(mav0: Path) -> Trajectory | None:
         if file.exists():
             return read_groundtruth(file)
     tum = mav0.resolve().parent / TUM_GROUND_TRUTH_FILE
-    if not tum.exists():
-        return None
-    from dronevio.models.recordings.tum import read_tum  # imports this module for the folders of EuRoC
-
-    return read_tum(tum)
+    return read_tum(tum) if tum.exists() else None
 
 
 def read_imu(path: Path | str) -> ImuSamples:

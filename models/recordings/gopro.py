@@ -19,7 +19,6 @@ import numpy.typing as npt
 
 from dronevio.models.defects import Defect, DefectKind
 from dronevio.models.errors import ConfigError, InputError
-from dronevio.models.image_sets.video import VideoFrames, read_video_index
 from dronevio.models.imu import ImuModel, ImuSamples, Times
 from dronevio.models.recordings.calibration.reading import calibration_of
 from dronevio.models.recordings.calibration.yaml_document import YamlDocument, read_yaml
@@ -29,6 +28,7 @@ from dronevio.models.recordings.frame_truth import FrameTruth
 from dronevio.models.recordings.gpmf import SENSORS, SensorPayload, axes_matrix, read_payload
 from dronevio.models.recordings.repair import imu_defects
 from dronevio.models.recordings.split_imu import interpolated_accel
+from dronevio.models.recordings.video_frames import VideoFrames, read_video_index
 from dronevio.models.rig import Rig, check_camera_count
 from dronevio.models.state import NO_IMAGE, CameraFrame, Trajectory
 

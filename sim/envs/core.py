@@ -12,19 +12,19 @@ from gymnasium import spaces
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
 from dronevio.models.rotation import pose_matrix
-from dronevio.sim.envs.actions import action_mode, checked_actions
-from dronevio.sim.envs.arrangement import Arrangement
-from dronevio.sim.envs.batches import with_rows
-from dronevio.sim.envs.camera_observation import Images
-from dronevio.sim.envs.endings import GROUND_M, REASONS, Bounds, failures
-from dronevio.sim.envs.estimation import EstimatorFactory
-from dronevio.sim.envs.estimator_loop import EstimatorLoop
-from dronevio.sim.envs.held_images import rendered_images
-from dronevio.sim.envs.imu_window import ImuWindow
-from dronevio.sim.envs.latency import DelayedActions
-from dronevio.sim.envs.observations import Situation, limits_of, observation_named
-from dronevio.sim.envs.options import overridden
-from dronevio.sim.envs.randomization import Draws
+from dronevio.sim.envs.episodes.actions import action_mode, checked_actions
+from dronevio.sim.envs.episodes.batches import with_rows
+from dronevio.sim.envs.episodes.endings import GROUND_M, REASONS, Bounds, failures
+from dronevio.sim.envs.episodes.latency import DelayedActions
+from dronevio.sim.envs.episodes.options import overridden
+from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.sensing.arrangement import Arrangement
+from dronevio.sim.envs.sensing.camera_observation import Images
+from dronevio.sim.envs.sensing.estimation import EstimatorFactory
+from dronevio.sim.envs.sensing.estimator_loop import EstimatorLoop
+from dronevio.sim.envs.sensing.held_images import HeldImages
+from dronevio.sim.envs.sensing.imu_window import ImuWindow
+from dronevio.sim.envs.sensing.observations import Situation, limits_of, observation_named
 from dronevio.sim.envs.settings import EnvironmentSettings
 from dronevio.sim.envs.tasks import Objective, Transition
 from dronevio.sim.envs.tasks.task import distance_m
@@ -91,7 +91,11 @@ class DroneCore:
         self._mode = action_mode(settings.action, self.quadrotor, settings.action_limits, count, self.plant.interval_s)
         self._delayed = DelayedActions(count, settings.samples, self.plant.interval_s)
         self._imu = ImuWindow(self.plant, settings.rig, self.quadrotor, settings.samples)
-        self._images = rendered_images(count, settings) if settings.images else None
+        self._images = (
+            HeldImages(count, settings.steps_per_image, settings.image_source, settings.world_seed)
+            if settings.images
+            else None
+        )
         self._standing_m = float(self.area.pad[2]) + self.plant.standing_height_m
         ground_m = -np.inf if self.task.lands else self._standing_m + GROUND_M
         self._bounds = Bounds(self.task.bounds_m(self.area), ground_m)
@@ -125,7 +129,7 @@ class DroneCore:
 
         Args:
             mask: (n,) The environments to reset.
-            options: Values to use instead of drawn ones; see `dronevio.sim.envs.options`.
+            options: Values to use instead of drawn ones; see `dronevio.sim.envs.episodes.options`.
 
         Returns:
             The drawn values and the goals by name, arrays of n rows.
@@ -312,7 +316,9 @@ class DroneCore:
             )
         self._close_loop()
         T = pose_matrix(planned.R_world_vehicle[0], planned.position_m[0])
-        self._loop = EstimatorLoop(make, self.settings, T, self._states, self._draws, int(self._rng.integers(2**31)))
+        settings = self.settings
+        cameras = settings.cameras_of_episode(self._draws, int(self._rng.integers(2**31)))
+        self._loop = EstimatorLoop(make, settings.rig, settings.estimation, cameras, T, self._states)
         self._loop.measure(0, self._imu.samples[0, -1], self._states)
         longest_ns = self.settings.estimation.longest_wait_s * 1e9
         while not self._loop.ready and self.plant.t_ns[0] < longest_ns:

@@ -7,10 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.envs.arrangement import rows_of
 from dronevio.sim.envs.core import DroneCore
 from dronevio.sim.envs.info import Info, row_of
 from dronevio.sim.envs.rendering import RENDER_MODES, DronePictures, check_render_mode, possible_render_modes
+from dronevio.sim.envs.sensing.arrangement import rows_of
 from dronevio.sim.envs.settings import settings_of
 from dronevio.sim.envs.tasks import AnyTask
 
@@ -51,7 +51,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
     | ``t_ns`` | time since the start of the episode [ns] |
     | ``randomization`` | drawn values by name, see `Draws`; only after a reset |
 
-    With an estimator, there are also the entries that `dronevio.sim.envs.estimation` describes.
+    With an estimator, there are also the entries that `dronevio.sim.envs.sensing.estimation` describes.
 
     ## Determinism
     The same seed and the same actions give the same bytes on the same kind of processor. A reset without seed continues
@@ -95,7 +95,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
 
         Args:
             seed: Seed of all random numbers from now on; None continues the current stream.
-            options: Values to use instead of drawn ones; `dronevio.sim.envs.options` lists them.
+            options: Values to use instead of drawn ones; `dronevio.sim.envs.episodes.options` lists them.
 
         Returns:
             The first observation and the info dictionary.

@@ -8,10 +8,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.envs.arrangement import rows_of
 from dronevio.sim.envs.core import DroneCore
 from dronevio.sim.envs.info import Info, with_masks
 from dronevio.sim.envs.rendering import DronePictures, check_render_mode
+from dronevio.sim.envs.sensing.arrangement import rows_of
 from dronevio.sim.envs.settings import settings_of
 from dronevio.sim.envs.tasks import AnyTask
 from dronevio.sim.physics.vehicle_states import Mask
@@ -111,8 +111,8 @@ class DroneVectorEnv(VectorEnv[Any, npt.NDArray[np.floating[Any]], Any]):
 
         Args:
             seed: Seed of all random numbers from now on; None continues the current stream.
-            options: ``reset_mask`` is a mask (n,) of the environments to reset; `dronevio.sim.envs.options` lists
-                values to use instead of drawn ones.
+            options: ``reset_mask`` is a mask (n,) of the environments to reset; `dronevio.sim.envs.episodes.options`
+                lists values to use instead of drawn ones.
 
         Returns:
             The observations of all environments, and the infos of those that were reset.

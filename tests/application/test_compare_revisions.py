@@ -13,9 +13,9 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from dronevio.recorder import rig_of
 
 from dronevio.models.rotation import exp_so3
+from dronevio.recording.recorder import rig_of
 
 
 @pytest.fixture(scope="module")

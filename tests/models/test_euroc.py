@@ -26,7 +26,8 @@ from dronevio.models.recordings.euroc import (
     write_euroc_recording,
 )
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text
-from dronevio.models.recordings.tum import read_trajectory, write_tum
+from dronevio.models.recordings.trajectory_file import read_trajectory_file
+from dronevio.models.recordings.tum import write_tum
 from dronevio.models.rig import EUROC_T_IMU_CAM0, Rig, RigCamera, euroc_rig
 from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.state import Trajectory
@@ -390,12 +391,16 @@ def test_a_tum_file_beside_the_folder_is_the_ground_truth(
     folder = tmp_path / "flight"
     write_euroc(folder, recording.rig, recording.imu, None, recording.frame_times_ns)
     with pytest.raises(InputError, match=r"groundtruth\.tum beside mav0"):
-        read_trajectory(folder)
+        read_trajectory_file(folder)
     assert EurocRecording.open(folder).ground_truth is None
     write_tum(folder / "groundtruth.tum", truth)
-    for found in (EurocRecording.open(folder).ground_truth, read_trajectory(folder), read_trajectory(folder / "mav0")):
+    for found in (
+        EurocRecording.open(folder).ground_truth,
+        read_trajectory_file(folder),
+        read_trajectory_file(folder / "mav0"),
+    ):
         assert found is not None and found.velocity_m_s is None
         np.testing.assert_array_equal(found.t_ns, truth.t_ns)
         np.testing.assert_array_equal(found.p_world_imu, truth.p_world_imu)
     write_euroc(folder, recording.rig, recording.imu, truth[3:], recording.frame_times_ns)  # the table comes first
-    assert len(read_trajectory(folder)) == len(truth) - 3
+    assert len(read_trajectory_file(folder)) == len(truth) - 3

@@ -12,7 +12,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.rig import EUROC_CAM0, RigCamera
 from dronevio.models.rig_presets import TUM_VI_CAMERA, rig_named
 from dronevio.sim.appearance.scenery import reduced_image
-from dronevio.sim.envs.camera_observation import (
+from dronevio.sim.envs.sensing.camera_observation import (
     ImageSettings,
     NoCameraObservation,
     RenderedObservation,

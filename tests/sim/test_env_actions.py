@@ -9,9 +9,9 @@ from dronevio.models.actions import ACTION_MODES
 from dronevio.models.quadrotor import RESEARCH
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix, rotation_z, yaw_rad_from_matrix
 from dronevio.sim.envs.core import DroneCore
-from dronevio.sim.envs.distributions import Constant, LogUniform, Normal, Uniform
-from dronevio.sim.envs.latency import DelayedActions
-from dronevio.sim.envs.randomization import MODERATE, Randomization
+from dronevio.sim.envs.episodes.distributions import Constant, LogUniform, Normal, Uniform
+from dronevio.sim.envs.episodes.latency import DelayedActions
+from dronevio.sim.envs.episodes.randomization import MODERATE, Randomization
 from dronevio.sim.envs.settings import settings_of
 from dronevio.sim.envs.tasks import Race
 

@@ -16,10 +16,10 @@ from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import exp_so3, matrix_from_quat_wxyz, pose_matrix, rotation_z
 from dronevio.models.state import CameraFrame, Estimate, Health, HealthReport, NavState, Trajectory
-from dronevio.sim.envs.distributions import Constant
-from dronevio.sim.envs.estimation import CameraSetup, Estimation
-from dronevio.sim.envs.goal_flight import fly_to_goal
-from dronevio.sim.envs.randomization import Randomization
+from dronevio.sim.envs.episodes.distributions import Constant
+from dronevio.sim.envs.episodes.randomization import Randomization
+from dronevio.sim.envs.policies.goal_flight import fly_to_goal
+from dronevio.sim.envs.sensing.estimation import CameraSetup, Estimation
 from dronevio.sim.envs.single import DroneEnv
 from dronevio.sim.envs.tasks import Transition, VioHover, VioNavigate
 from dronevio.sim.envs.vector import DroneVectorEnv

@@ -12,7 +12,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 import dronevio.envs  # noqa: F401 registers
 from dronevio.models.errors import ConfigError
-from dronevio.sim.envs.randomization import MODERATE
+from dronevio.sim.envs.episodes.randomization import MODERATE
 from dronevio.sim.envs.single import DroneEnv
 from dronevio.sim.envs.tasks import TASKS
 from dronevio.sim.envs.vector import DroneVectorEnv

@@ -21,12 +21,12 @@ from dronevio.models.actions import ACTION_MODES, ActionLimits
 from dronevio.models.errors import ConfigError, GraphicsError
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import rig_named
-from dronevio.sim.chase_camera import CHASE_CAMERAS
-from dronevio.sim.envs.distributions import LogUniform, Normal, Uniform
-from dronevio.sim.envs.randomization import MODERATE, Randomization
+from dronevio.sim.envs.episodes.distributions import LogUniform, Normal, Uniform
+from dronevio.sim.envs.episodes.randomization import MODERATE, Randomization
 from dronevio.sim.envs.settings import settings_of
 from dronevio.sim.envs.single import DroneEnv
 from dronevio.sim.envs.tasks import TASKS, Hover
+from dronevio.sim.pictures.chase_camera import CHASE_CAMERAS
 from dronevio.sim.rendering.loaded_world import LOADED_WORLDS
 
 STATE = ("position", "rotation", "velocity", "rate")

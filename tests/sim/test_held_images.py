@@ -8,8 +8,8 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from dronevio.models.rotation import exp_so3
-from dronevio.sim.envs.held_images import HeldImages
-from dronevio.sim.envs.randomization import Draws
+from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.sensing.held_images import HeldImages
 
 Array = npt.NDArray[np.float64]
 EVERY = np.ones(3, np.bool_)

@@ -94,8 +94,8 @@ def _caches() -> dict[str, dict[str, Any]]:
         ConfigError: The environment variable with the limit of the recordings is not a size.
     """
     from dronevio.eval.benchmark.cache_limit import default_folder, limit_bytes, size_bytes
+    from dronevio.sim.pictures import world_pictures
     from dronevio.sim.rendering import world_files
-    from dronevio.sim.worlds import world_pictures
 
     recordings = default_folder()
     used = size_bytes(recordings)

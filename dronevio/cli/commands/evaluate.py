@@ -210,16 +210,16 @@ def _trajectory(command: EvaluateCommand, path: Path, poses_ns: "Times | None" =
     Where the clock of a bag steps, it is the part of its ground truth with the most of some poses (N,) [ns].
     """
     if _is_recording(path):
-        from dronevio.models.recordings.open import read_trajectory as read_truth
+        from dronevio.models.recordings.open import read_trajectory
 
-        return read_truth(path, poses_ns)
+        return read_trajectory(path, poses_ns)
     import numpy as np
 
     from dronevio.eval.metrics import Alignment
     from dronevio.models.recordings.kitti import R_UP_KITTI, is_kitti
-    from dronevio.models.recordings.tum import read_trajectory
+    from dronevio.models.recordings.trajectory_file import read_trajectory_file
 
-    trajectory = read_trajectory(path, command.repeated, command.times, _warn)
+    trajectory = read_trajectory_file(path, command.repeated, command.times, _warn)
     return Alignment(R_UP_KITTI, np.zeros(3)).apply(trajectory) if is_kitti(path) else trajectory
 
 

@@ -61,14 +61,14 @@ def main(arguments: Sequence[str]) -> int:
 
     from dronevio.cli.output_files import atomic_folder, size_mb
     from dronevio.models.recordings.euroc import read_imu
-    from dronevio.models.recordings.tum import read_trajectory
+    from dronevio.models.recordings.trajectory_file import read_trajectory_file
     from dronevio.recording.recorder import record_refly, rig_of
     from dronevio.sim.cameras.gl import require_gl
     from dronevio.sim.cameras.imaging import image_sensor_named
     from dronevio.sim.refly import cut, refly
 
     imaging = image_sensor_named(command.image_sensor)
-    path = cut(read_trajectory(command.trajectory), command.start_s, command.duration_s)
+    path = cut(read_trajectory_file(command.trajectory), command.start_s, command.duration_s)
     imu = None if command.imu is None else read_imu(command.imu)
     flown = refly(path, imu, rig_of(command.rig), command.world, command.seed, command.margin_m)
     name = flight_name(command.trajectory)

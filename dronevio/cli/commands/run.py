@@ -20,12 +20,12 @@ from dronevio.cli.terminal import (
     print_values,
     progress_bars,
 )
-from dronevio.sim.loop_settings import LoopSettings
+from dronevio.sim.closed_loop.settings import LoopSettings
 
 if TYPE_CHECKING:
     from dronevio.estimator.config import VioConfig
     from dronevio.estimator.slam.config import SlamConfig
-    from dronevio.sim.envs.mission import PolicyMission
+    from dronevio.sim.envs.policies.mission import PolicyMission
     from dronevio.sim.scenario import Scenario
 
 
@@ -144,8 +144,8 @@ def _policy_mission(command: RunCommand, scenario: "Scenario") -> "PolicyMission
     if command.policy is None:
         return None
     from dronevio.models.policies.policy_file import load_policy
-    from dronevio.sim.envs.mission import policy_mission
-    from dronevio.sim.envs.pilot import PolicyPilot
+    from dronevio.sim.envs.policies.mission import policy_mission
+    from dronevio.sim.envs.policies.pilot import PolicyPilot
 
     policy, options = load_policy(command.policy), command.flight
     mission = policy_mission(policy, scenario, own_world=options.world is None, own_vehicle=options.vehicle is None)

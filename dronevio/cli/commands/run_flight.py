@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from dronevio.models.policies.outcome import PolicyOutcome
     from dronevio.models.protocols import Recording
     from dronevio.models.rig import Rig
-    from dronevio.sim.envs.mission import PolicyMission
+    from dronevio.sim.envs.policies.mission import PolicyMission
     from dronevio.sim.flight import Flight
     from dronevio.sim.scenario import Scenario
 
@@ -111,8 +111,8 @@ def _flown_live(
     from dronevio.models.defects import defects_of
     from dronevio.models.errors import ConfigError
     from dronevio.recording.recorder import record_closed_loop
-    from dronevio.sim.envs.mission import policy_outcome
-    from dronevio.sim.envs.pilot import PolicyPilot
+    from dronevio.sim.envs.policies.mission import policy_outcome
+    from dronevio.sim.envs.policies.pilot import PolicyPilot
 
     if command.live:
         other = "--fly-on estimate" if mission is None else "--policy"

@@ -38,8 +38,8 @@ def main(arguments: Sequence[str]) -> int:
     command = parse(WorldsCommand, arguments, "worlds")
 
     from dronevio.models.errors import ConfigError
+    from dronevio.sim.pictures.contact_sheet import require_picture
     from dronevio.sim.world import WORLDS, flight_area
-    from dronevio.sim.worlds.contact_sheet import require_picture
 
     if command.seed < 0:
         raise ConfigError(f"seed {command.seed}; expected 0 or more")
@@ -80,7 +80,7 @@ def _draw(path: Path, names: Sequence[str], seed: int, quiet: bool) -> None:
         OSError: The file cannot be written.
     """
     from dronevio.sim.cameras.gl import require_gl
-    from dronevio.sim.worlds.contact_sheet import (
+    from dronevio.sim.pictures.contact_sheet import (
         LENS,
         VIEWS,
         VIEWS_EACH,
@@ -88,7 +88,7 @@ def _draw(path: Path, names: Sequence[str], seed: int, quiet: bool) -> None:
         sheet_of_worlds,
         write_picture,
     )
-    from dronevio.sim.worlds.world_pictures import pictures_of_worlds
+    from dronevio.sim.pictures.world_pictures import pictures_of_worlds
 
     require_gl()
     single = len(names) == 1

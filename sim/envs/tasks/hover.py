@@ -46,11 +46,11 @@ class Hover(Settings):
 
     ## Action space
     ``Box(-1, 1, (4,), float32)``. By default the speeds of the four rotors (mode ``rotors``): −1 is standstill, 0 the
-    hover speed and 1 the largest speed. `dronevio.sim.envs.actions` describes the other modes.
+    hover speed and 1 the largest speed. `dronevio.sim.envs.episodes.actions` describes the other modes.
 
     ## Observation space
-    A ``Dict`` of ``Box`` with these entries by default; `dronevio.sim.envs.observations` describes all that can be
-    chosen.
+    A ``Dict`` of ``Box`` with these entries by default; `dronevio.sim.envs.sensing.observations` describes all that can
+    be chosen.
 
     | key | shape | content |
     |---|---|---|

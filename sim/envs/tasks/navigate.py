@@ -51,12 +51,12 @@ class Navigate(Settings):
     with its camera towards the goal. It knows where the goal is, but sees the obstacles in the depth image only.
 
     ## Action space
-    ``Box(-1, 1, (4,), float32)``. By default velocity and yaw rate (mode ``velocity``); `dronevio.sim.envs.actions`
-    describes all modes and their units.
+    ``Box(-1, 1, (4,), float32)``. By default velocity and yaw rate (mode ``velocity``);
+    `dronevio.sim.envs.episodes.actions` describes all modes and their units.
 
     ## Observation space
-    A ``Dict`` of ``Box`` with these entries by default; `dronevio.sim.envs.observations` describes all that can be
-    chosen.
+    A ``Dict`` of ``Box`` with these entries by default; `dronevio.sim.envs.sensing.observations` describes all that can
+    be chosen.
 
     | key | shape | content |
     |---|---|---|

@@ -53,11 +53,11 @@ class Race(Settings):
 
     ## Action space
     ``Box(-1, 1, (4,), float32)``. By default collective thrust and body rates (mode ``rates``);
-    `dronevio.sim.envs.actions` describes all modes and their units.
+    `dronevio.sim.envs.episodes.actions` describes all modes and their units.
 
     ## Observation space
-    A ``Dict`` of ``Box`` with these entries by default; `dronevio.sim.envs.observations` describes all that can be
-    chosen.
+    A ``Dict`` of ``Box`` with these entries by default; `dronevio.sim.envs.sensing.observations` describes all that can
+    be chosen.
 
     | key | shape | content |
     |---|---|---|

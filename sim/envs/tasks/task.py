@@ -102,9 +102,9 @@ class Task(Protocol[Goals]):
     """Interface of a task. ``Goals`` is a frozen dataclass of arrays with the goals and the progress of n episodes."""
 
     default_observations: ClassVar[tuple[str, ...]]
-    """Names of the default observations; see `dronevio.sim.envs.observations`."""
+    """Names of the default observations; see `dronevio.sim.envs.sensing.observations`."""
     default_action: ClassVar[str]
-    """Name of the default action mode; see `dronevio.sim.envs.actions`."""
+    """Name of the default action mode; see `dronevio.sim.envs.episodes.actions`."""
     lands: ClassVar[bool]
     """Whether standing on the ground is part of the task; otherwise it is a failure."""
 

@@ -49,16 +49,16 @@ class VioHover(Settings):
     The quadrotor stands on the landing pad of the furnished room. The goal rises to a point 1.2 m above the pad, stays
     there for 60 s, and descends again. Observations and inner control loops use the estimate of a visual-inertial
     odometry with one camera, which receives its frames with latency; rewards, ends and success use the true state. The
-    drift of the estimate is therefore a drift of the vehicle. `dronevio.sim.envs.estimation` describes how the
+    drift of the estimate is therefore a drift of the vehicle. `dronevio.sim.envs.sensing.estimation` describes how the
     estimator is simulated, and how another one is chosen.
 
     ## Action space
-    ``Box(-1, 1, (4,), float32)``. By default velocity and yaw rate (mode ``velocity``); `dronevio.sim.envs.actions`
-    describes all modes and their units.
+    ``Box(-1, 1, (4,), float32)``. By default velocity and yaw rate (mode ``velocity``);
+    `dronevio.sim.envs.episodes.actions` describes all modes and their units.
 
     ## Observation space
-    A ``Dict`` of ``Box`` with these entries by default; `dronevio.sim.envs.observations` describes all that can be
-    chosen.
+    A ``Dict`` of ``Box`` with these entries by default; `dronevio.sim.envs.sensing.observations` describes all that can
+    be chosen.
 
     | key | shape | content |
     |---|---|---|

@@ -53,7 +53,7 @@ def main(arguments: Sequence[str]) -> int:
     policies = {path: load_policy(path) for path in command.policies}  # a damaged file is reported before the first run
 
     from dronevio.policy_evaluation import evaluate_policy
-    from dronevio.sim.envs.randomization import MODERATE, NOTHING_RANDOM
+    from dronevio.sim.envs.episodes.randomization import MODERATE, NOTHING_RANDOM
 
     settings: dict[str, Any] = {
         "randomization": MODERATE if command.randomization == "moderate" else NOTHING_RANDOM,

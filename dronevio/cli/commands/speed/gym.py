@@ -41,8 +41,8 @@ def main(arguments: Sequence[str]) -> int:
     command = parse(GymCommand, arguments, "speed gym")
     os.environ.setdefault("LP_NUM_THREADS", "1")  # before Mesa starts: its threads would count as processor time
 
-    from dronevio.sim.batch_throughput import batch_figures
-    from dronevio.sim.envs.image_rate import image_figures, image_rates
+    from dronevio.sim.speed.batch_throughput import batch_figures
+    from dronevio.sim.speed.image_rate import image_figures, image_rates
     from dronevio.sim.world import WORLDS
 
     count, actions, runs = (16, 3, 2) if command.quick else (command.envs, 25, command.runs)

@@ -97,7 +97,7 @@ def _measured(command: SimCommand, effort: _Effort, progress: "Progress") -> lis
         record,
         scaling_figure,
     )
-    from dronevio.sim.throughput import camera_figure, flight_figure
+    from dronevio.sim.speed.throughput import camera_figure, flight_figure
     from dronevio.sim.world import build_world
 
     place = command.world, (rig := measured_rig(command.rig, effort.small_images)), command.seed

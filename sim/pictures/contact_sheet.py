@@ -12,8 +12,8 @@ from dronevio.models.errors import InputError
 from dronevio.models.rotation import exp_so3, rotation_z
 from dronevio.sim.appearance.textures import Image, to_image
 from dronevio.sim.cameras.camera import OffscreenCamera
+from dronevio.sim.pictures.texturedness import poses_along
 from dronevio.sim.world import WORLDS, World
-from dronevio.sim.worlds.texturedness import poses_along
 
 Array = npt.NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from dronevio.models.policies.outcome import PolicyOutcome
 from dronevio.models.policies.policy import Policy
 from dronevio.models.quadrotor import vehicle_named
 from dronevio.models.rotation import inverse_pose
-from dronevio.sim.envs.endings import GROUND_M, REASONS, Bounds, failures
+from dronevio.sim.envs.episodes.endings import GROUND_M, REASONS, Bounds, failures
 from dronevio.sim.envs.tasks import TASKS, AnyTask, Race, Transition
 from dronevio.sim.envs.tasks.task import distance_m
 from dronevio.sim.flight import Flight, plant_of

@@ -26,9 +26,9 @@ as factors, wind (3) [m/s], gusts, latency [s], and errors of the IMU as a facto
 | ``depth`` | (H, W, 1) float32 | depth along the optical axis of the observed camera [m] |
 
 All but images are float32. They are true values, except for ``imu``; with an estimator, the policy sees estimated ones,
-except for ``rotors``, ``battery``, ``parameters`` and ``wind`` (`dronevio.sim.envs.estimation`). The vehicle frame is x
-forward, y left, z up. Values are clipped to the bounds of their spaces. Images are those of
-`dronevio.sim.envs.camera_observation`.
+except for ``rotors``, ``battery``, ``parameters`` and ``wind`` (`dronevio.sim.envs.sensing.estimation`). The vehicle
+frame is x forward, y left, z up. Values are clipped to the bounds of their spaces. Images are those of
+`dronevio.sim.envs.sensing.camera_observation`.
 """
 
 from collections.abc import Callable
@@ -41,8 +41,8 @@ from gymnasium import spaces
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rotation import quat_wxyz_from_matrix
-from dronevio.sim.envs.camera_observation import ImageKind
-from dronevio.sim.envs.randomization import Draws
+from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.sensing.camera_observation import ImageKind
 from dronevio.sim.envs.tasks.task import Objective
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import VehicleStates

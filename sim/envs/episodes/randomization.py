@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
-from dronevio.sim.envs.distributions import Constant, Distribution, LogUniform, Normal, Uniform
+from dronevio.sim.envs.episodes.distributions import Constant, Distribution, LogUniform, Normal, Uniform
 from dronevio.sim.physics.vehicle_states import Table, VehicleParameters
 
 Array = npt.NDArray[np.float64]

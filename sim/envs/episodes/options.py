@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import matrix_from_quat_wxyz
-from dronevio.sim.envs.randomization import Draws
+from dronevio.sim.envs.episodes.randomization import Draws
 from dronevio.sim.envs.tasks import AnyTask
 from dronevio.sim.physics.vehicle_states import VehicleStates
 

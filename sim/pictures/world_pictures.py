@@ -18,10 +18,10 @@ from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.progress import Progress, silent
 from dronevio.sim.appearance.textures import Image
+from dronevio.sim.pictures.contact_sheet import taken_views
 from dronevio.sim.rendering import world_files
 from dronevio.sim.rendering.worker_pool import default_workers, run_tasks
 from dronevio.sim.world import WORLDS, build_world
-from dronevio.sim.worlds.contact_sheet import taken_views
 
 FILES_MAX = 48
 """Number of files that are kept, each of 1 to 4 MB."""

@@ -8,9 +8,9 @@ from dronevio.models.camera import CameraModel
 from dronevio.models.performance import PerformanceFigure
 from dronevio.models.progress import Progress, silent
 from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.sim.cameras.camera_cost import camera_cost
 from dronevio.sim.flight import fly
 from dronevio.sim.scenario import Scenario
+from dronevio.sim.speed.camera_cost import camera_cost
 from dronevio.sim.world import World
 
 _FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # optical axis along world x

@@ -14,8 +14,8 @@ from dronevio.models.progress import Progress, silent
 from dronevio.models.quadrotor import RESEARCH
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
-from dronevio.sim.envs.distributions import Constant, Uniform
-from dronevio.sim.envs.randomization import Randomization
+from dronevio.sim.envs.episodes.distributions import Constant, Uniform
+from dronevio.sim.envs.episodes.randomization import Randomization
 from dronevio.sim.envs.tasks.hover import Hover
 from dronevio.sim.envs.vector import DroneVectorEnv
 from dronevio.sim.inertial.batch_imu import BatchImuErrors

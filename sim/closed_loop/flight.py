@@ -20,7 +20,9 @@ from dronevio.models.protocols import Controller, Estimator, exposure_delay_ns
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rotation import pose_matrix, rotation_z
 from dronevio.models.state import CameraFrame, Trajectory
-from dronevio.sim.estimated_state import EstimatedState
+from dronevio.sim.closed_loop.estimated_state import EstimatedState
+from dronevio.sim.closed_loop.frame_source import FrameSource
+from dronevio.sim.closed_loop.settings import LoopSettings
 from dronevio.sim.flight import (
     Flight,
     frame_schedule,
@@ -29,8 +31,6 @@ from dronevio.sim.flight import (
     reference_of,
     start_in_air,
 )
-from dronevio.sim.frame_source import FrameSource
-from dronevio.sim.loop_settings import LoopSettings
 from dronevio.sim.paths.path import Reference
 from dronevio.sim.physics.controller import SE3Controller
 from dronevio.sim.physics.plant import QuadrotorPlant

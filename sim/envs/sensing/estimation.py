@@ -42,7 +42,7 @@ from dronevio.models.protocols import Estimator
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.sim.cameras.imaging import Imaging
-from dronevio.sim.frame_source import FrameSource
+from dronevio.sim.closed_loop.frame_source import FrameSource
 from dronevio.sim.rendering.live_cameras import LiveCameras
 
 LATENCY_MAX_S = 0.5

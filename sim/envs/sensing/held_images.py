@@ -9,9 +9,8 @@ from gymnasium import spaces
 
 from dronevio.models.imu import Times
 from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.sim.envs.camera_observation import CameraObservation, Images, ImageSettings, RenderedObservation
-from dronevio.sim.envs.randomization import Draws
-from dronevio.sim.envs.settings import EnvironmentSettings
+from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.sensing.camera_observation import CameraObservation, Images
 from dronevio.sim.physics.vehicle_states import Mask
 
 Array = npt.NDArray[np.float64]
@@ -104,16 +103,3 @@ def _lit(images: npt.NDArray[Any], light: Array) -> npt.NDArray[Any]:
     if images.dtype != np.uint8 or np.all(light == 1.0):
         return images
     return np.clip(np.rint(images * light[:, None, None, None]), 0.0, 255.0).astype(np.uint8)
-
-
-def rendered_images(count: int, settings: EnvironmentSettings) -> HeldImages:
-    """Return the images of ``count`` environments by a camera of their rig."""
-    width, height = settings.image_size
-    images = ImageSettings(settings.images, width, height)
-    mounted, world, seed = settings.rig.cameras[settings.camera], settings.world, settings.world_seed
-    return HeldImages(
-        count,
-        settings.steps_per_image,
-        lambda texture_seed: RenderedObservation(mounted, world, seed, images, texture_seed),
-        seed,
-    )

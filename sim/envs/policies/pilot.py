@@ -17,11 +17,11 @@ from dronevio.models.protocols import Controller
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rotation import inverse_pose
 from dronevio.models.state import NavState
-from dronevio.sim.envs.actions import action_mode
-from dronevio.sim.envs.endings import failures
-from dronevio.sim.envs.mission import PolicyMission
-from dronevio.sim.envs.observations import Situation, limits_of, observation_named
-from dronevio.sim.envs.randomization import Draws
+from dronevio.sim.envs.episodes.actions import action_mode
+from dronevio.sim.envs.episodes.endings import failures
+from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.policies.mission import PolicyMission
+from dronevio.sim.envs.sensing.observations import Situation, limits_of, observation_named
 from dronevio.sim.envs.tasks import Objective, Transition
 from dronevio.sim.paths.path import Reference
 from dronevio.sim.physics.controller import SE3Controller
@@ -50,7 +50,7 @@ _ALL = np.ones(1, dtype=np.bool_)
 
 
 class PolicyPilot:
-    """Flies the task of a policy once, after a take-off; implements `dronevio.sim.closed_loop.Pilot`."""
+    """Flies the task of a policy once, after a take-off; implements `dronevio.sim.closed_loop.flight.Pilot`."""
 
     def __init__(self, mission: PolicyMission) -> None:
         """Prepare a flight.

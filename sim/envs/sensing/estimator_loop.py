@@ -8,13 +8,12 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
-from dronevio.models.rotation import cross, exp_so3, inverse_pose, log_so3, pose_matrix, quat_wxyz_from_matrix
+from dronevio.models.rig import Rig
+from dronevio.models.rotation import cross, inverse_pose, log_so3, quat_wxyz_from_matrix
 from dronevio.models.state import Estimate, Health, NavState
-from dronevio.sim.envs.delayed_frames import DelayedFrames
-from dronevio.sim.envs.estimation import CameraSetup, EstimatorFactory
-from dronevio.sim.envs.randomization import Draws
-from dronevio.sim.envs.settings import EnvironmentSettings
-from dronevio.sim.estimated_state import EstimatedState
+from dronevio.sim.closed_loop.estimated_state import EstimatedState
+from dronevio.sim.envs.sensing.delayed_frames import DelayedFrames
+from dronevio.sim.envs.sensing.estimation import CameraSetup, Estimation, EstimatorFactory
 from dronevio.sim.physics.vehicle_states import VehicleStates
 
 Array = npt.NDArray[np.float64]
@@ -78,27 +77,26 @@ class EstimatorLoop:
     def __init__(
         self,
         make: EstimatorFactory,
-        settings: EnvironmentSettings,
+        rig: Rig,
+        estimation: Estimation,
+        cameras: CameraSetup,
         T_world_vehicle: Array,
         truth: VehicleStates,
-        draws: Draws,
-        noise_seed: int,
     ) -> None:
         """Make estimator and cameras for the start of an episode.
 
         Args:
             make: Function that returns the estimator.
-            settings: Settings of the environment.
+            rig: Calibrated cameras and IMU, as the estimator knows them.
+            estimation: Latency, darkness and image sensors.
+            cameras: The true cameras of the episode.
             T_world_vehicle: (4, 4) Planned pose of the standing vehicle.
             truth: True state of the vehicle, one row.
-            draws: Randomization of the episode, one row.
-            noise_seed: Seed of the image noise.
         """
-        rig, estimation = settings.rig, settings.estimation
         self._T_vehicle_imu = rig.T_vehicle_imu
         self._estimator = make(rig)
         self._state = EstimatedState(self._estimator, T_world_vehicle @ rig.T_vehicle_imu)
-        self._frames = DelayedFrames(rig, estimation, estimation.cameras(_cameras(settings, draws, noise_seed)))
+        self._frames = DelayedFrames(rig, estimation, estimation.cameras(cameras))
         self._truth, self._perceived = truth, Perceived.at_rest(T_world_vehicle)
         self._ready = False
         self._t_ns = self._start_ns = 0
@@ -150,7 +148,7 @@ class EstimatorLoop:
         return self._perceived.states(self._truth)
 
     def info(self) -> dict[str, Any]:
-        """Return values by name, arrays of one row; see `dronevio.sim.envs.estimation`."""
+        """Return values by name, arrays of one row; see `dronevio.sim.envs.sensing.estimation`."""
         truth, estimate, newest = self._truth, self.states(), self._newest
         report = None if newest is None else newest.health_report
         turn = truth.R_world_vehicle.mT @ estimate.R_world_vehicle
@@ -188,19 +186,3 @@ def _motion(states: VehicleStates) -> dict[str, Array]:
         "velocity_m_s": states.velocity_m_s.copy(),
         "rate_rad_s": states.rate_rad_s.copy(),
     }
-
-
-def _cameras(settings: EnvironmentSettings, draws: Draws, noise_seed: int) -> CameraSetup:
-    """Return the cameras of an episode, with their drawn mounting errors, light and textures."""
-    rig, imaging = settings.rig, settings.estimation.imaging
-    error = pose_matrix(exp_so3(draws.camera_rotation_rad[0]), draws.camera_translation_m[0])
-    cameras = tuple(replace(camera, T_imu_cam=error @ camera.T_imu_cam) for camera in rig.cameras)
-    return CameraSetup(
-        rig=replace(rig, cameras=cameras),
-        world=settings.world,
-        world_seed=settings.world_seed,
-        texture_seed=int(draws.texture_seed[0]),
-        noise_seed=noise_seed,
-        # the light of a frame is irradiance × exposure time / nominal exposure time
-        imaging=replace(imaging, nominal_exposure_s=imaging.nominal_exposure_s / float(draws.light[0])),
-    )

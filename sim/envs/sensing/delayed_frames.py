@@ -8,7 +8,7 @@ import numpy.typing as npt
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import CameraFrame, Trajectory
-from dronevio.sim.envs.estimation import EpisodeCameras, Estimation
+from dronevio.sim.envs.sensing.estimation import EpisodeCameras, Estimation
 from dronevio.sim.physics.vehicle_states import VehicleStates
 
 Array = npt.NDArray[np.float64]
