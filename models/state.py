@@ -1,7 +1,7 @@
 """Camera frames, navigation states, estimates with their health, and trajectories."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import StrEnum
 from numbers import Integral
 from typing import Self
@@ -104,17 +104,13 @@ class FeatureTracks:
     """(N,) Number of frames in which each feature has been observed."""
 
 
-@dataclass(frozen=True)
-class HealthReport:
-    """Health of an estimator at one frame, with its reason and the quantities that determine it.
+@dataclass(frozen=True, kw_only=True)
+class HealthQuantities:
+    """The quantities that determine the health of an estimate at one frame.
 
     A quantity is None where it is undefined, such as the parallax without landmarks.
     """
 
-    health: Health
-    """Status of the estimator."""
-    reason: str
-    """Reason of the status, as a text for users."""
     tracks: int = 0
     """Number of features tracked into this frame."""
     landmarks: int = 0
@@ -134,6 +130,24 @@ class HealthReport:
     """Standard deviation of the velocity along the least certain axis [m/s]."""
     inertial_only_s: float = 0.0
     """Time for which the IMU alone has constrained the estimate [s]."""
+
+    @property
+    def quantities(self) -> "HealthQuantities":
+        """These quantities alone."""
+        return HealthQuantities(**{field.name: getattr(self, field.name) for field in fields(HealthQuantities)})
+
+
+@dataclass(frozen=True)
+class HealthReport(HealthQuantities):
+    """Health of an estimator at one frame, with its reason and the quantities that determine it."""
+
+    health: Health
+    """Status of the estimator."""
+    reason: str
+    """Reason of the status, as a text for users."""
+    cause: StrEnum | None = None
+    """The same as a constant, for programs; None from estimators that give a text only. Those of the odometry are in
+    `dronevio.estimator.monitoring.causes`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,8 @@ from dronevio.estimator.backend.marginal_prior import MarginalPrior
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.noise import ImuNoiseEstimator
-from dronevio.estimator.odometry import EXCESSIVE_NOISE, VisualInertialOdometry
+from dronevio.estimator.monitoring.causes import Cause
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
@@ -444,7 +445,7 @@ def test_nearly_constant_biases_are_accepted(make_flight: MakeFlight, walk: floa
 def test_excessive_noise_is_stated_once_and_with_a_state(make_flight: MakeFlight) -> None:
     """Noise of sixty times the data sheet shows while the first states are too uncertain to be published."""
     estimates = make_flight(5, rest_s=-5.0, duration_s=3.0, imu_noise=60.0).run()
-    stated = [any(EXCESSIVE_NOISE in event for event in estimate.events) for estimate in estimates]
+    stated = [any(Cause.EXCESSIVE_NOISE in event for event in estimate.events) for estimate in estimates]
     assert sum(stated) == 1 and estimates[stated.index(True)].state is not None
 
 
@@ -458,4 +459,4 @@ def test_aliased_vibration_is_no_contradiction_at_a_start(
     estimates = flight.run()
     assert any(usual) and [estimate.state is not None for estimate in estimates] == usual
     for report in (e.health_report for e in estimates if e.state is not None):
-        assert report is not None and (report.health, report.reason) == (Health.INERTIAL_ONLY, EXCESSIVE_NOISE)
+        assert report is not None and (report.health, report.reason) == (Health.INERTIAL_ONLY, Cause.EXCESSIVE_NOISE)
