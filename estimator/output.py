@@ -66,7 +66,7 @@ class Publisher:
         state: NavState,
         assessment: Assessment,
         events: tuple[str, ...] = (),
-        landmarks_world: Array | None = None,
+        landmarks_odom: Array | None = None,
     ) -> Estimate:
         """Return the estimate of a frame with a state, which is withheld if it is not certain enough.
 
@@ -75,7 +75,7 @@ class Publisher:
             state: The state at the frame.
             assessment: What is known about it.
             events: Events at the frame, as texts for people.
-            landmarks_world: (L, 3) Landmarks that constrain the estimate [m]; only on keyframes.
+            landmarks_odom: (L, 3) Landmarks that constrain the estimate [m]; only on keyframes.
         """
         report = health_report(assessment, self._health)
         if not self._is_publishing:
@@ -88,7 +88,7 @@ class Publisher:
             events = ("initialized" if self._waiting is Health.INITIALIZING else "recovered", *events)
         events = (*events, *self._sensors.of(packet), *self._noise_events(assessment))
         tracks = _feature_tracks(packet.observations)
-        return Estimate(packet.t_ns, report.health, state, tracks, landmarks_world, events, report)
+        return Estimate(packet.t_ns, report.health, state, tracks, landmarks_odom, events, report)
 
     def without_state(
         self,

@@ -60,7 +60,11 @@ class CameraFrame:
 
 @dataclass(frozen=True, eq=False)
 class NavState:
-    """Navigation state of the IMU at one time; the world frame is aligned with gravity, z up."""
+    """Navigation state of the IMU at one time.
+
+    The world frame is the fixed frame of its source, such as that of the simulation, of an odometry or of a
+    map; it is aligned with gravity, z up.
+    """
 
     t_ns: int
     """Time of the state [ns]."""
@@ -159,11 +163,11 @@ class Estimate:
     health: Health
     """Status of the estimator."""
     state: NavState | None
-    """State at the frame in a continuous odometry frame, None if there is none."""
+    """State at the frame, whose world frame is the odometry frame: continuous, with drift. None if there is none."""
     tracks: FeatureTracks | None = None
     """Features that are tracked into this frame."""
-    landmarks_world: Array | None = None
-    """(M, 3) Positions of landmarks in the world frame, None on frames for which they are not computed [m]."""
+    landmarks_odom: Array | None = None
+    """(M, 3) Positions of landmarks in the odometry frame, None on frames for which they are not computed [m]."""
     events: tuple[str, ...] = ()
     """Events at this frame, as texts for users, such as ``initialized`` or ``keyframe``."""
     health_report: HealthReport | None = None
@@ -179,16 +183,23 @@ class Estimate:
     [ns]."""
 
     @property
+    def T_odom_imu(self) -> Array | None:
+        """(4, 4) Pose of the IMU in the odometry frame; None without a state."""
+        return None if self.state is None else self.state.T_world_imu
+
+    @property
     def T_map_imu(self) -> Array | None:
         """(4, 4) Pose of the IMU in the map frame, corrected by loop closures; None without a pose or a map."""
-        if self.state is None or self.T_map_odom is None:
-            return None
-        return np.asarray(self.T_map_odom @ self.state.T_world_imu)
+        T_map_odom, T_odom_imu = self.T_map_odom, self.T_odom_imu
+        return None if T_map_odom is None or T_odom_imu is None else np.asarray(T_map_odom @ T_odom_imu)
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses of the IMU over time, optionally with velocities, biases and covariances."""
+    """Poses of the IMU over time, optionally with velocities, biases and covariances.
+
+    The world frame is the fixed frame of its source; see `NavState`.
+    """
 
     t_ns: Times
     """(N,) Time stamps, strictly increasing [ns]."""

@@ -68,7 +68,7 @@ def contents(estimate: Estimate) -> bytes:
     """Return all values of an estimate as bytes."""
     owners = [estimate.state, estimate.tracks]
     values = [value for owner in owners if owner is not None for value in vars(owner).values()]
-    values += [estimate.landmarks_world, estimate.t_ns, estimate.health, estimate.events]
+    values += [estimate.landmarks_odom, estimate.t_ns, estimate.health, estimate.events]
     parts = [value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode() for value in values]
     return b"|".join(parts)
 
@@ -126,10 +126,10 @@ def test_error_is_small_without_noise(make_flight: MakeFlight, rest_s: float) ->
     estimates = flight.run()
     assert ate_m(flight, poses(estimates)) < 1e-3
     for e in estimates:
-        if e.landmarks_world is not None and len(e.landmarks_world) and e.t_ns > flight.frame_times_ns[80]:
+        if e.landmarks_odom is not None and len(e.landmarks_odom) and e.t_ns > flight.frame_times_ns[80]:
             estimated, truth = poses(estimates), flight.truth_at(poses(estimates).t_ns)
             fit = align(truth.p_world_imu, estimated.p_world_imu, "yaw")
-            errors = fit.positions(e.landmarks_world)[:, None] - flight.landmarks[None]
+            errors = fit.positions(e.landmarks_odom)[:, None] - flight.landmarks[None]
             assert np.linalg.norm(errors, axis=2).min(axis=1).max() < 0.05
             break
     else:
@@ -347,7 +347,7 @@ def test_initialization_and_keyframes_are_events(estimated_flight: EstimatedFlig
     assert sum("initialized" in e for e in events) == 1
     keyframes = [e for e in estimates if "keyframe" in e.events]
     assert 40 < len(keyframes) < 80
-    assert all((e.landmarks_world is not None) == ("keyframe" in e.events) for e in estimates)
+    assert all((e.landmarks_odom is not None) == ("keyframe" in e.events) for e in estimates)
     tracks = [e.tracks for e in estimates if e.tracks is not None]
     assert len(tracks) == len(estimates)
     assert all(len(t.ids) == len(t.pixels) == len(t.ages) for t in tracks)

@@ -9,7 +9,7 @@ import pytest
 
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.monitoring.causes import Cause
-from dronevio.estimator.monitoring.health import HealthConfig
+from dronevio.estimator.monitoring.config import HealthConfig
 from dronevio.eval.run import is_warning
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, pose_matrix

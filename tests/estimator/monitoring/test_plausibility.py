@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator import odometry
+from dronevio.estimator import odometry, transitions
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.monitoring.plausibility import (
     LEAST_CORRECTIONS,
@@ -117,7 +117,7 @@ def test_a_window_that_jumps_is_a_loss_and_not_a_pose(make_flight: MakeFlight, m
     """The state of the newest keyframe is not checked by its prediction."""
     flight = make_flight(0, rest_s=1.5, duration_s=5.0)
     vio = VisualInertialOdometry(flight.rig, front_end=flight.front_end())
-    publish, count = odometry.publish, 0
+    publish, count = transitions.publish, 0
 
     def jumping(parts, state, tracking, packet, estimated, *rest):  # type: ignore[no-untyped-def]
         nonlocal count
