@@ -9,9 +9,9 @@ import pytest
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 
-CLEAN: tuple[str, ...] = ("dronevio", "estimator", "eval", "examples", "models", "sim", "scripts", "tests")
+CLEAN: tuple[str, ...] = ("dronevio", "estimator", "eval", "examples", "models", "sim", "benchmarks", "tools", "tests")
 """Folders and files, relative to the checkout, whose names and docstrings keep the conventions. A folder is added once
-``scripts/conventions.py FOLDER`` reports no violation in it."""
+``tools/conventions.py FOLDER`` reports no violation in it."""
 
 
 @pytest.fixture(scope="module")
