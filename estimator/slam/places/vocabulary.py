@@ -3,7 +3,7 @@
 A descriptor is assigned to the nearest of the branches and then to the nearest word of that branch (Nistér and
 Stewénius, "Scalable recognition with a vocabulary tree", CVPR 2006; Gálvez-López and Tardós, "Bags of binary words for
 fast place recognition in image sequences", T-RO 2012). The vocabulary of the package was learnt on rendered flights by
-``scripts/learn_vocabulary.py``.
+``tools/learn_vocabulary.py``.
 
 The centre of a cluster of binary descriptors is their bitwise majority, which minimizes the sum of Hamming distances
 (k-majority; Grana et al., "A fast approach for integrating ORB descriptors in the bag of words model", 2013).
