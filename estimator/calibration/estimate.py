@@ -12,54 +12,15 @@ import numpy.typing as npt
 
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
-from dronevio.estimator.calibration.parameters import ParameterGroup, ParameterTable
-from dronevio.estimator.calibration.significance import significant_length
+from dronevio.estimator.calibration.parameters import ParameterTable
+from dronevio.estimator.calibration.significance import SignificanceTest
 
 Array = npt.NDArray[np.float64]
 
-REFINEMENT_SIGMAS = 1.0
-"""Significance of further corrections of parameters that are known to be wrong."""
 INFLATION_CORRECTION = (5e-3, np.radians(1.0))
 """Corrections of time offset [s] and rotation [rad] to which `CalibrationConfig.inflation_sigmas` correspond."""
 MIN_INFLATION = 0.03
 """Smallest share of these that is applied, however small a correction is."""
-
-
-@dataclass(frozen=True)
-class SignificanceTest:
-    """How much a group of parameters must differ from the calibration in use before it is corrected."""
-
-    first_rotation_rad: float
-    """Smallest first correction of the rotations, over all cameras together [rad]."""
-    rotation_rad: float
-    """That of rotations that have been corrected before, without `CalibratedPart.refinement` [rad]."""
-    min_sigmas: float = 0.0
-    """Smallest significance of a first correction, in standard deviations."""
-    by_component: bool = False
-    """Whether each parameter is tested by itself, and not along the principal axes of the covariance. These are more
-    sensitive, also to errors of the states of a window that begins in motion."""
-
-    def is_passed(self, group: ParameterGroup, difference: Array, covariance: Array, *, is_first: bool) -> bool:
-        """Return whether a group is corrected.
-
-        Args:
-            group: The parameters.
-            difference: (D,) Estimate of all parameters minus the corrections in use.
-            covariance: (D, D) Covariance of the estimate.
-            is_first: Whether the group has not been corrected before.
-        """
-        part, rows = group.config, group.rows
-        smallest, sigmas = part.min_correction, part.significance
-        if group.is_rotation:
-            smallest = self.first_rotation_rad if is_first else self.rotation_rad
-        if not is_first and part.refinement < 1.0:
-            smallest, sigmas = part.refinement * smallest, min(sigmas, REFINEMENT_SIGMAS)
-        else:
-            sigmas = max(sigmas, self.min_sigmas)
-        of_group = covariance[np.ix_(rows, rows)]
-        if self.by_component:
-            of_group = np.diag(np.diag(of_group))
-        return significant_length(difference[rows], of_group, sigmas) > smallest
 
 
 @dataclass(frozen=True, eq=False)

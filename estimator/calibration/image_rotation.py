@@ -68,16 +68,12 @@ class RelativeRotations:
 
     def __getitem__(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.int64]) -> "RelativeRotations":
         """Return some of the pairs."""
-        return RelativeRotations(self.start_ns[rows], self.end_ns[rows], self.rotation_rad[rows], self.sigma_rad[rows])
+        return RelativeRotations(*(values[rows] for values in vars(self).values()))
 
     def joined(self, later: "RelativeRotations") -> "RelativeRotations":
         """Return these pairs followed by others."""
-        return RelativeRotations(
-            np.concatenate([self.start_ns, later.start_ns]),
-            np.concatenate([self.end_ns, later.end_ns]),
-            np.concatenate([self.rotation_rad, later.rotation_rad]),
-            np.concatenate([self.sigma_rad, later.sigma_rad]),
-        )
+        pairs = zip(vars(self).values(), vars(later).values(), strict=True)
+        return RelativeRotations(*(np.concatenate(pair) for pair in pairs))
 
     @property
     def span_s(self) -> Array:

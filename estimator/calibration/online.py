@@ -23,15 +23,10 @@ from dronevio.estimator.calibration.adjustment import CalibrationProblem
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrected_state import propagated_state
 from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
-from dronevio.estimator.calibration.estimate import (
-    ParameterEstimate,
-    SignificanceTest,
-    covariance_inflation,
-    inflation_share,
-)
+from dronevio.estimator.calibration.estimate import ParameterEstimate, covariance_inflation, inflation_share
 from dronevio.estimator.calibration.parameters import ParameterTable
-from dronevio.estimator.calibration.prior import CalibrationPrior, inverse
-from dronevio.estimator.calibration.window import WindowKeyframe
+from dronevio.estimator.calibration.significance import SignificanceTest
+from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
 from dronevio.estimator.calibration.window_collector import NO_KEYFRAMES, CalibrationWindow
 from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.imu import GRAVITY_M_S2
@@ -47,6 +42,37 @@ KEPT_INFLATION = 0.5
 from the adjustment's newest state, if that is determined."""
 MAX_RELATIVE_SIGMAS = 4.0
 """Prior standard deviations beyond which the matches of a keyframe have another cause than the cameras' rotation."""
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationPrior:
+    """The given calibration, and what is unknown of it."""
+
+    given: Calibration
+    """The calibration without corrections."""
+    gravity_m_s2: float
+    """Given magnitude of gravity [m/s²]."""
+    parameters: ParameterTable
+    """The parameters of its corrections."""
+    config: CalibrationConfig
+    """Settings."""
+
+    def problem(
+        self, window: CalibrationWindow, estimate: ParameterEstimate, config: AdjustmentConfig
+    ) -> CalibrationProblem:
+        """Return the adjustment of a window, with an estimate as its prior.
+
+        A window that begins at rest does not estimate gravity, because the accelerometer bias of its prior is that for
+        the gravity in use.
+        """
+        g, at_rest, is_unknown = self.given, window.begins_stationary, self.parameters.is_unknown
+        initial = np.where(estimate.follows, estimate.applied, estimate.mean)
+        if at_rest:
+            is_unknown[GRAVITY], initial[GRAVITY] = False, estimate.applied[GRAVITY]
+            config = replace(config, pixel_sigma=config.stationary_pixel_sigma)
+        measured = window.keyframes, g.Ts_imu_cam, float(g.focal_px[0]), config
+        prior = estimate.mean, _inverse(estimate.covariance), is_unknown, self.gravity_m_s2
+        return CalibrationProblem(*measured, *prior, initial=initial, begins_stationary=at_rest)
 
 
 @dataclass(frozen=True)
@@ -167,18 +193,12 @@ class OnlineCalibration:
         """
         if not self._prior.parameters.groups:
             return False
-        # Observations by the given calibration, so that they stay valid when another correction is applied
-        parts = (observations, observations.matches, observations.miscalibrated)
+        # Observations by the given calibration, which stay valid when another correction is applied
+        c, parts = self._calibration, (observations, observations.matches, observations.miscalibrated)
         ids, camera, xy = (np.concatenate([getattr(p, name) for p in parts]) for name in ("ids", "camera", "xy"))
+        xy, gravity_m_s2 = c.given_xy(xy, camera), self._prior.gravity_m_s2 + c.gravity_correction_m_s2
         keyframe = WindowKeyframe(
-            state,
-            angular_velocity_rad_s,
-            self._calibration.time_offset_correction_s,
-            self._prior.gravity_m_s2 + self._calibration.gravity_correction_m_s2,
-            preintegrated,
-            ids,
-            camera,
-            self._calibration.given_xy(xy, camera),
+            state, angular_velocity_rad_s, c.time_offset_correction_s, gravity_m_s2, preintegrated, ids, camera, xy
         )
         # Windows of successive keyframes
         if not stationary and not self._collected.is_connected(keyframe):
@@ -226,7 +246,7 @@ class OnlineCalibration:
         if np.abs(Corrections.from_vector(result.mean).rotation_rad).max() > MAX_RELATIVE_SIGMAS * c.rotation.sigma:
             return False
         test = SignificanceTest(c.min_relative_correction, c.min_relative_correction)
-        return self._apply(result.mean, inverse(result.information), test)
+        return self._apply(result.mean, _inverse(result.information), test)
 
     def _adjusting(self, window: CalibrationWindow) -> Adjusting | None:
         """Set up the adjustment of a window, if it has enough keyframes and landmarks."""
@@ -236,7 +256,7 @@ class OnlineCalibration:
             self._estimate = predicted
         if len(window.keyframes) < (c.min_keyframes if window.is_complete else MIN_PART_KEYFRAMES):
             return None
-        problem = self._prior.problem(window, predicted)
+        problem = self._prior.problem(window, predicted, c.adjustment)
         return Adjusting(window, problem) if problem.landmark_count >= c.min_landmarks else None
 
     def _conclude(self, due: CalibrationWindow | None) -> bool:
@@ -254,12 +274,14 @@ class OnlineCalibration:
         if result is None or not result.rms_px < self._prior.config.max_rms_px:
             return False
         # Information filter: the prior of the adjustment was the estimate, so that its posterior is the next estimate
-        mean, covariance = result.mean.copy(), inverse(result.information)
+        mean, covariance = result.mean.copy(), _inverse(result.information)
         if window.begins_stationary:
             mean[GRAVITY] = self._estimate.mean[GRAVITY]
         self._estimate = self._estimate.fused(mean, covariance, is_complete=window.is_complete)
         # Significance test of each group of parameters
-        if not self._apply(mean, covariance, self._prior.significance_of(window)):
+        c, cameras = self._prior.config, len(self._prior.given.rig.cameras)
+        test = SignificanceTest.of_window(c, cameras, begins_stationary=window.begins_stationary)
+        if not self._apply(mean, covariance, test):
             return False
         self._estimate, self._corrected_state = replace(self._estimate, is_verified=True), None
         # After a large correction, the newest state by the adjustment, propagated over the keyframes since
@@ -278,5 +300,13 @@ class OnlineCalibration:
         corrected = self._estimate.corrected(mean, covariance, self._prior.parameters, test)
         if corrected is None:
             return False
-        self._estimate, self._calibration = corrected, self._prior.corrected(corrected.applied)
+        self._estimate, self._calibration = (
+            corrected,
+            Corrections.from_vector(corrected.applied).applied_to(self._prior.given),
+        )
         return True
+
+
+def _inverse(matrix: Array) -> Array:
+    """Return the inverse of a covariance or information matrix."""
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)

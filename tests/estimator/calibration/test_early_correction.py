@@ -9,15 +9,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.calibration import prior
+from dronevio.estimator.calibration import significance
 from dronevio.estimator.calibration.adjustment import AdjustmentResult
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrected_state import propagated_state
 from dronevio.estimator.calibration.corrections import Corrections
-from dronevio.estimator.calibration.estimate import ParameterEstimate, SignificanceTest
-from dronevio.estimator.calibration.online import OnlineCalibration
+from dronevio.estimator.calibration.estimate import ParameterEstimate
+from dronevio.estimator.calibration.online import CalibrationPrior, OnlineCalibration
 from dronevio.estimator.calibration.parameters import ParameterTable
-from dronevio.estimator.calibration.prior import CalibrationPrior
+from dronevio.estimator.calibration.significance import SignificanceTest
 from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
 from dronevio.estimator.calibration.window_collector import CalibrationWindow
 from dronevio.estimator.imu.buffer import ImuBuffer
@@ -243,12 +243,12 @@ def test_a_small_correction_determines_no_state(make_flight: MakeFlight, tilt_de
     assert calibration.corrected_state is None
 
 
-@pytest.mark.parametrize(("sigmas", "is_early"), [(prior.STATIONARY_SIGMAS, True), (1e3, False)])
+@pytest.mark.parametrize(("sigmas", "is_early"), [(significance.STATIONARY_SIGMAS, True), (1e3, False)])
 def test_windows_that_begin_at_rest_need_more_significance(
     make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch, sigmas: float, is_early: bool
 ) -> None:
     """The next window, in motion, needs the significance of the settings only."""
-    monkeypatch.setattr(prior, "STATIONARY_SIGMAS", sigmas)
+    monkeypatch.setattr(significance, "STATIONARY_SIGMAS", sigmas)
     flight = make_flight(0, rest_s=REST_S, duration_s=14.0)
     true = turned(flight.rig, np.radians(2.0) * np.array([[0.6, 0.0, 0.8]]))
     after_s, _, corrected = corrected_flight(flight, true, drift_m=0.0)

@@ -12,19 +12,17 @@ import pytest
 from dronevio.estimator.calibration.adjustment import AdjustmentResult, CalibrationProblem
 from dronevio.estimator.calibration.config import CalibratedPart, CalibrationConfig
 from dronevio.estimator.calibration.corrections import COMMON_PARAMETERS, PARAMETERS_PER_CAMERA
-from dronevio.estimator.calibration.estimate import ParameterEstimate, SignificanceTest
+from dronevio.estimator.calibration.estimate import ParameterEstimate
 from dronevio.estimator.calibration.online import OnlineCalibration
 from dronevio.estimator.calibration.parameters import ParameterTable
-from dronevio.estimator.calibration.prior import CalibrationPrior
+from dronevio.estimator.calibration.significance import SignificanceTest
 from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
-from dronevio.estimator.calibration.window_collector import CalibrationWindow
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.camera import CameraModel
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rig import Rig
-from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, log_so3, pose_matrix
 from dronevio.models.state import NavState
 
@@ -299,14 +297,6 @@ def test_parts_that_are_off_are_not_estimated(noiseless: "SyntheticFlight") -> N
     assert str(found.applied) == str(found.estimate) == "none"
 
 
-def significance_of_windows(cameras: int) -> tuple[ParameterTable, SignificanceTest, SignificanceTest]:
-    """Return the parameters of cameras, and what is significant by a window from rest and by one in motion."""
-    config, rig = CalibrationConfig(), rig_named("euroc" if cameras == 1 else "euroc-stereo")
-    prior = CalibrationPrior(Calibration(rig), GRAVITY_M_S2, ParameterTable.of(config, cameras), config)
-    tests = (prior.significance_of(CalibrationWindow((), begins_stationary)) for begins_stationary in (True, False))
-    return prior.parameters, *tests
-
-
 def turned_alike(cameras: int, rotation_rad: float) -> Array:
     """Return corrections by which all cameras are rotated about their x axes, as by a rotation of the IMU."""
     corrections = np.zeros(COMMON_PARAMETERS + PARAMETERS_PER_CAMERA * cameras)
@@ -318,8 +308,10 @@ def turned_alike(cameras: int, rotation_rad: float) -> Array:
 @pytest.mark.parametrize("cameras", [1, 2])
 def test_the_smallest_rotation_is_that_of_each_camera(cameras: int, share: float, applied: bool) -> None:
     """A rotation of the IMU in its housing turns all cameras alike."""
-    parameters, from_rest, _ = significance_of_windows(cameras)
-    mean = turned_alike(cameras, share * CalibrationConfig().rotation.min_correction)
+    config = CalibrationConfig()
+    parameters = ParameterTable.of(config, cameras)
+    from_rest = SignificanceTest.of_window(config, cameras, begins_stationary=True)
+    mean = turned_alike(cameras, share * config.rotation.min_correction)
     corrected = ParameterEstimate.prior(parameters).corrected(mean, 1e-12 * np.eye(len(mean)), parameters, from_rest)
     assert (corrected is not None) == applied
 
@@ -327,8 +319,10 @@ def test_the_smallest_rotation_is_that_of_each_camera(cameras: int, share: float
 @pytest.mark.parametrize("cameras", [1, 2])
 def test_first_rotation_by_windows_in_motion_is_larger(cameras: int) -> None:
     """Later corrections of rotations that are known to be wrong are as small as by windows from rest."""
-    parameters, _, in_motion = significance_of_windows(cameras)
-    certain, config = 1e-12 * np.eye(len(parameters.sigmas)), CalibrationConfig()
+    config = CalibrationConfig()
+    parameters = ParameterTable.of(config, cameras)
+    in_motion = SignificanceTest.of_window(config, cameras, begins_stationary=False)
+    certain = 1e-12 * np.eye(len(parameters.sigmas))
 
     def corrected(estimate: ParameterEstimate, rotation_rad: float) -> ParameterEstimate | None:
         return estimate.corrected(turned_alike(cameras, rotation_rad), certain, parameters, in_motion)
