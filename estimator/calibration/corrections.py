@@ -49,12 +49,9 @@ class Corrections:
         Ts = given.Ts_imu_cam @ pose_matrix(exp_so3(self.rotation_rad), np.zeros_like(self.translation_m))
         Ts[:, :3, 3] += self.translation_m
         cameras = (replace(camera, T_imu_cam=T) for camera, T in zip(given.rig.cameras, Ts, strict=True))
-        given = Calibration(
-            replace(given.rig, cameras=tuple(cameras)), self.time_offset_s, gravity_correction_m_s2=self.gravity_m_s2
-        )
-        if not (self.focal.any() or self.principal.any()):
-            return given
-        return replace(given, focal_correction=self.focal, principal_correction=self.principal)
+        rig, has_intrinsics = replace(given.rig, cameras=tuple(cameras)), self.focal.any() or self.principal.any()
+        focal, principal = (self.focal, self.principal) if has_intrinsics else (None, None)
+        return Calibration(rig, self.time_offset_s, focal, principal, self.gravity_m_s2)
 
     def __str__(self) -> str:
         """Return the corrections that are not zero as text, or "none"."""

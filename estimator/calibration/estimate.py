@@ -89,14 +89,9 @@ class ParameterEstimate:
                 follows[group.rows] = is_corrected = True
         if not is_corrected:
             return None
-        applied = np.where(follows, mean, self.applied)
-        return replace(
-            self,
-            applied=applied,
-            newest_change=np.where(follows, difference, 0.0),
-            follows=follows,
-            is_plausible=self.is_plausible and bool((np.abs(applied) <= parameters.limits).all()),
-        )
+        applied, change = np.where(follows, mean, self.applied), np.where(follows, difference, 0.0)
+        is_plausible = self.is_plausible and bool((np.abs(applied) <= parameters.limits).all())
+        return replace(self, applied=applied, newest_change=change, follows=follows, is_plausible=is_plausible)
 
 
 def inflation_share(change: Array) -> float:
@@ -110,8 +105,6 @@ def inflation_share(change: Array) -> float:
 
 def covariance_inflation(change: Array, config: CalibrationConfig) -> Array:
     """Return the covariance (15, 15) of the error that a change (D,) of the corrections leaves in a state."""
-    if np.delete(change, GRAVITY).any():
-        sigmas = inflation_share(change) * np.array(config.inflation_sigmas)
-    else:
-        sigmas = np.array(config.gravity_inflation_sigmas)
-    return np.diag(np.repeat(sigmas, 3) ** 2)
+    is_only_gravity = not np.delete(change, GRAVITY).any()
+    sigmas = np.array(config.gravity_inflation_sigmas if is_only_gravity else config.inflation_sigmas)
+    return np.diag(np.repeat((1.0 if is_only_gravity else inflation_share(change)) * sigmas, 3) ** 2)

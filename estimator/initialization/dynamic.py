@@ -178,11 +178,8 @@ def initialize_dynamic(
         return reason
     R_world_imu = level_rotation(-state.gravity)
     pose, velocity = pose_matrix(R_world_imu, np.zeros(3)), R_world_imu @ state.velocity
-    return DynamicStart(
-        NavState(window[0].t_ns, pose, velocity, state.gyro_bias, state.accel_bias),
-        tracks.ids[~refined.inliers],
-        _evidence_of_time_offset(free),
-    )
+    start = NavState(window[0].t_ns, pose, velocity, state.gyro_bias, state.accel_bias)
+    return DynamicStart(start, tracks.ids[~refined.inliers], _evidence_of_time_offset(free))
 
 
 def _evidence_of_time_offset(free: RefinedState) -> NotObservable | None:
