@@ -18,7 +18,8 @@ import tyro
 from wrong_inputs import FAULTS, Change, ChangedRecording, section_of
 
 from dronevio.cli.terminal import print_table
-from dronevio.estimator.odometry import TIME_OFFSET_FOUND, VisualInertialOdometry
+from dronevio.estimator.calibration.calibrator import TIME_OFFSET_FOUND
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.alignment import align
 from dronevio.eval.metrics.association import interpolate

@@ -26,7 +26,8 @@ from dronevio.estimator.initialization.not_observable import (
     ROTATION_DISAGREES,
     SENSORS_SWAPPED,
 )
-from dronevio.estimator.odometry import IMPLAUSIBLE_CALIBRATION, VisualInertialOdometry
+from dronevio.estimator.monitoring.causes import Cause
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.output import REPEATED_IMAGES
 from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.association import interpolate
@@ -45,7 +46,7 @@ Array = npt.NDArray[np.float64]
 LATE_NS = 500_000_000
 SIGMAS, LEAST_M, LARGEST_M = 5.0, 0.3, 1.0
 CAMERA_DISAGREES = "contradicts its calibration"
-CALIBRATION_DISAGREES = (CAMERA_DISAGREES, IMPLAUSIBLE_CALIBRATION)
+CALIBRATION_DISAGREES = (CAMERA_DISAGREES, Cause.IMPLAUSIBLE_CALIBRATION)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +155,7 @@ _EYE, _SWAPPED_AXES = np.eye(3), np.eye(3)[[1, 0, 2]]
 FAULTS: Mapping[str, tuple[Change, tuple[str, ...]]] = {
     "none": (lambda recording, _: recording, ()),
     "crossed-flights": (crossed, (ROTATION_DISAGREES,)),
-    "imu-late": (late, (ROTATION_DISAGREES, IMPLAUSIBLE_CALIBRATION)),
+    "imu-late": (late, (ROTATION_DISAGREES, Cause.IMPLAUSIBLE_CALIBRATION)),
     "reversed-images": (of_order(lambda index, count: count - 1 - index), (ROTATION_DISAGREES,)),
     "mirrored-images": (
         of_images(lambda image: np.ascontiguousarray(image[:, ::-1])),

@@ -12,7 +12,7 @@ from dronevio.estimator.imu.noise import NoiseEstimationConfig
 from dronevio.estimator.imu.preintegration import PreintegrationConfig
 from dronevio.estimator.initialization.initializer import InitializerConfig
 from dronevio.estimator.initialization.zero_velocity import ZeroVelocityConfig
-from dronevio.estimator.monitoring.health import HealthConfig
+from dronevio.estimator.monitoring.config import HealthConfig
 from dronevio.estimator.monitoring.stamp_error import StampConfig
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.ranges import Range, Settings

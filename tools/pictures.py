@@ -171,7 +171,7 @@ def draw_estimator(flight: Path, picture: Path) -> None:
     figure.colorbar(dots, ax=image, shrink=0.75, label="age of the track [frames]")
     image.set(title="tracked features", xticks=(), yticks=())
 
-    points = np.concatenate([e.landmarks_world for e in run.estimates[:shown] if e.landmarks_world is not None])
+    points = np.concatenate([e.landmarks_odom for e in run.estimates[:shown] if e.landmarks_odom is not None])
     above.scatter(*scored.alignment.positions(points)[:, :2].T, s=1, color=colours.SURROUNDINGS, alpha=0.3)
     above.plot(*truth.p_world_imu[:, :2].T, color=colours.TRUTH, label="truth")
     above.plot(*scored.alignment.positions(path.p_world_imu)[:, :2].T, color=colours.ESTIMATE, label="estimate")

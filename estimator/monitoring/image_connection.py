@@ -21,16 +21,16 @@ class ImageConnection:
     def __init__(self) -> None:
         """Begin without keyframes."""
         self._keyframe_ids = np.zeros(0, np.int64)
-        self._tracked = 0  # number of features that were tracked into the frame before
+        self._tracked = 0, 0  # numbers of features that were tracked into the frame before, and into the newest
+
+    def add_frame(self, tracked: Observations) -> None:
+        """Add the features that were tracked into the next frame with an image."""
+        self._tracked = self._tracked[1], len(tracked)
 
     def add_keyframe(self, observations: Observations) -> bool:
-        """Add a keyframe, the newest frame, and return whether features connect it with the one before."""
+        """Make the newest frame a keyframe, and return whether features connect it with the one before."""
         before, self._keyframe_ids = self._keyframe_ids, observations.ids
-        return are_connected(before, observations.ids, self._tracked)
-
-    def end_frame(self, tracked: Observations) -> None:
-        """Note the features that were tracked into the newest frame."""
-        self._tracked = len(tracked)
+        return are_connected(before, observations.ids, self._tracked[0])
 
 
 def are_connected(before: Integers, ids: Integers, tracked: int) -> bool:

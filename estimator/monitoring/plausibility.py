@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments
+from dronevio.estimator.monitoring.causes import Cause, Reason
 from dronevio.models.rotation import log_so3
 from dronevio.models.state import NavState
 
@@ -50,7 +51,7 @@ class MotionLimits:
             self.accelerated_m_s + float(dt_s @ (force + gravity_m_s2)),
         )
 
-    def reason_against(self, state: NavState) -> str | None:
+    def reason_against(self, state: NavState) -> Reason | None:
         """Return why a state cannot follow the last published one, or None where it can."""
         last, dt_s = self.state, (state.t_ns - self.state.t_ns) * 1e-9
         corrections = _allowed_corrections(last, state)
@@ -61,15 +62,15 @@ class MotionLimits:
         mean_m_s = 0.5 * (last.velocity_m_s + state.velocity_m_s)
         jump_m = float(np.linalg.norm(displacement_m - dt_s * mean_m_s))
         if turned_rad > self.turned_rad + corrections[0]:
-            return f"a rotation of {np.degrees(turned_rad):.0f}° in {dt_s:.2f} s, which the gyroscope does not measure"
+            return Reason.of(Cause.ROTATION_JUMP, turned_deg=float(np.degrees(turned_rad)), dt_s=dt_s)
         if change_m_s > self.accelerated_m_s + corrections[2]:
-            return f"a velocity that changes by {change_m_s:.1f} m/s in {dt_s:.2f} s, which the IMU does not measure"
+            return Reason.of(Cause.VELOCITY_JUMP, change_m_s=change_m_s, dt_s=dt_s)
         if jump_m > 0.5 * dt_s * self.accelerated_m_s + corrections[1]:
-            return f"a position that jumps by {jump_m:.1f} m, which the velocity does not explain"
+            return Reason.of(Cause.POSITION_JUMP, jump_m=jump_m)
         return None
 
 
-def reason_against(state: NavState, last: MotionLimits | None) -> str | None:
+def reason_against(state: NavState, last: MotionLimits | None) -> Reason | None:
     """Return why a state cannot be that of a vehicle, or None where it can.
 
     Args:
@@ -78,9 +79,9 @@ def reason_against(state: NavState, last: MotionLimits | None) -> str | None:
     """
     speed_m_s = float(np.linalg.norm(state.velocity_m_s))
     if not (np.isfinite(state.T_world_imu).all() and np.isfinite(speed_m_s)):
-        return "the state is not finite"
+        return Reason.of(Cause.NOT_FINITE)
     if speed_m_s > MAX_SPEED_M_S:
-        return f"a speed of {speed_m_s:.0f} m/s"
+        return Reason.of(Cause.SPEED, speed_m_s=speed_m_s)
     return None if last is None else last.reason_against(state)
 
 

@@ -8,6 +8,7 @@ is then added to the saturated readings, so that the prediction, and the preinte
 those of a gyroscope of sufficient range.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +26,24 @@ ITERATIONS = 3
 SIGMA_INFLATION = 5.0
 """Factor on the standard deviation of the estimated rotation. The same images constrain the window, which therefore
 must not take the rotation for an independent measurement."""
+
+
+def with_rotation_by_image(measured: Increments, innovation_of: Callable[[Increments], Innovation]) -> Increments:
+    """Return increments with the rotation that a saturated gyroscope has not measured, if the image shows it.
+
+    Args:
+        measured: The increments since the frame before, as measured.
+        innovation_of: Returns the innovation of the frame, if its state is predicted by some increments.
+    """
+    sigma_rad, increments = saturated_sigma_rad(measured), measured
+    if not sigma_rad.any():
+        return measured
+    for _ in range(ITERATIONS):
+        rotation = missing_rotation(innovation_of(increments), sigma_rad)
+        if rotation is None:
+            break
+        increments = with_rotation(increments, measured, *rotation)
+    return increments
 
 
 def missing_rotation(innovation: Innovation, saturated_sigma_rad: Array) -> tuple[Array, Array] | None:

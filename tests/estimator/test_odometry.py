@@ -13,7 +13,8 @@ from dronevio.estimator.backend.marginal_prior import MarginalPrior
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.noise import ImuNoiseEstimator
-from dronevio.estimator.odometry import EXCESSIVE_NOISE, VisualInertialOdometry
+from dronevio.estimator.monitoring.causes import Cause
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
@@ -67,7 +68,7 @@ def contents(estimate: Estimate) -> bytes:
     """Return all values of an estimate as bytes."""
     owners = [estimate.state, estimate.tracks]
     values = [value for owner in owners if owner is not None for value in vars(owner).values()]
-    values += [estimate.landmarks_world, estimate.t_ns, estimate.health, estimate.events]
+    values += [estimate.landmarks_odom, estimate.t_ns, estimate.health, estimate.events]
     parts = [value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode() for value in values]
     return b"|".join(parts)
 
@@ -125,10 +126,10 @@ def test_error_is_small_without_noise(make_flight: MakeFlight, rest_s: float) ->
     estimates = flight.run()
     assert ate_m(flight, poses(estimates)) < 1e-3
     for e in estimates:
-        if e.landmarks_world is not None and len(e.landmarks_world) and e.t_ns > flight.frame_times_ns[80]:
+        if e.landmarks_odom is not None and len(e.landmarks_odom) and e.t_ns > flight.frame_times_ns[80]:
             estimated, truth = poses(estimates), flight.truth_at(poses(estimates).t_ns)
             fit = align(truth.p_world_imu, estimated.p_world_imu, "yaw")
-            errors = fit.positions(e.landmarks_world)[:, None] - flight.landmarks[None]
+            errors = fit.positions(e.landmarks_odom)[:, None] - flight.landmarks[None]
             assert np.linalg.norm(errors, axis=2).min(axis=1).max() < 0.05
             break
     else:
@@ -346,7 +347,7 @@ def test_initialization_and_keyframes_are_events(estimated_flight: EstimatedFlig
     assert sum("initialized" in e for e in events) == 1
     keyframes = [e for e in estimates if "keyframe" in e.events]
     assert 40 < len(keyframes) < 80
-    assert all((e.landmarks_world is not None) == ("keyframe" in e.events) for e in estimates)
+    assert all((e.landmarks_odom is not None) == ("keyframe" in e.events) for e in estimates)
     tracks = [e.tracks for e in estimates if e.tracks is not None]
     assert len(tracks) == len(estimates)
     assert all(len(t.ids) == len(t.pixels) == len(t.ages) for t in tracks)
@@ -444,7 +445,7 @@ def test_nearly_constant_biases_are_accepted(make_flight: MakeFlight, walk: floa
 def test_excessive_noise_is_stated_once_and_with_a_state(make_flight: MakeFlight) -> None:
     """Noise of sixty times the data sheet shows while the first states are too uncertain to be published."""
     estimates = make_flight(5, rest_s=-5.0, duration_s=3.0, imu_noise=60.0).run()
-    stated = [any(EXCESSIVE_NOISE in event for event in estimate.events) for estimate in estimates]
+    stated = [any(Cause.EXCESSIVE_NOISE in event for event in estimate.events) for estimate in estimates]
     assert sum(stated) == 1 and estimates[stated.index(True)].state is not None
 
 
@@ -458,4 +459,4 @@ def test_aliased_vibration_is_no_contradiction_at_a_start(
     estimates = flight.run()
     assert any(usual) and [estimate.state is not None for estimate in estimates] == usual
     for report in (e.health_report for e in estimates if e.state is not None):
-        assert report is not None and (report.health, report.reason) == (Health.INERTIAL_ONLY, EXCESSIVE_NOISE)
+        assert report is not None and (report.health, report.reason) == (Health.INERTIAL_ONLY, Cause.EXCESSIVE_NOISE)

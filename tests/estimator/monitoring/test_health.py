@@ -10,7 +10,9 @@ import pytest
 
 from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
 from dronevio.estimator.backend.reprojection import MEDIAN_CHI2_2DOF
-from dronevio.estimator.monitoring.health import IMAGE_VARIANCES, HealthConfig, HealthMonitor
+from dronevio.estimator.monitoring.config import HealthConfig
+from dronevio.estimator.monitoring.health import health_report
+from dronevio.estimator.monitoring.monitor import IMAGE_VARIANCES, HealthMonitor
 from dronevio.estimator.types import NO_FEATURES, Calibration, Observations
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
@@ -67,7 +69,7 @@ def monitor_of(triangulated: TriangulatedLandmarks, config: HealthConfig = CONFI
 def assess(
     monitor: HealthMonitor, observations: Observations, predicted: NavState, stationary: bool = False
 ) -> HealthReport:
-    return monitor.assess(observations, predicted, stationary, Calibration(RIG))
+    return health_report(monitor.assess(observations, predicted, stationary, Calibration(RIG)), CONFIG)
 
 
 def state_after(frames: int, **changes: Any) -> NavState:
@@ -227,18 +229,18 @@ def test_inconsistent_innovations_are_a_loss() -> None:
 
 def test_recently_inconsistent_estimate_is_not_tracking() -> None:
     triangulated, frames = landmarks(40, np.random.default_rng(1)), round(CONFIG.consistency_window_s / 0.05)
-    good, distrust = error_of_nis(1.0), round(CONFIG.distrust_s / 0.05)
+    good, distrust = error_of_nis(1.0), round(CONFIG.recovery_s / 0.05)
     monitor = monitor_of(triangulated)
     errors = [good, error_of_nis(1.05 * CONFIG.max_frame_nis)] + [good] * (distrust + 20)
     health = health_of(errors, monitor, triangulated)
     assert health == [Health.TRACKING] + [Health.INERTIAL_ONLY] * distrust + [Health.TRACKING] * 21
-    assert monitor.is_trusted
+    assert monitor.is_consistent
     inconsistent = [error_of_nis(1.05 * CONFIG.max_consistent_nis)] * (frames + 1)
     monitor = monitor_of(triangulated)
     health = health_of(inconsistent + [good] * 20, monitor, triangulated)
     assert health[:2] == [Health.TRACKING] * 2 and set(health[2:]) == {Health.INERTIAL_ONLY}
-    assert not monitor.is_trusted
-    monitor = monitor_of(triangulated, is_trusted=False)
+    assert not monitor.is_consistent
+    monitor = monitor_of(triangulated, is_consistent=False)
     assert health_of([good] * (distrust + 21), monitor, triangulated) == (
         [Health.INERTIAL_ONLY] * distrust + [Health.TRACKING] * 21
     )
@@ -259,7 +261,7 @@ def test_improbable_change_by_a_correction_is_distrusted() -> None:
         monitor, T = monitor_of(triangulated), START.T_world_imu.copy()
         T[:3, 3] += change_m * np.array([0.6, 0.0, -0.8])
         monitor.correct(START, replace(START, T_world_imu=T))
-        assert monitor.is_trusted is (expected is Health.TRACKING)
+        assert monitor.is_consistent is (expected is Health.TRACKING)
         assert assess(monitor, observations, state_after(1)).health is expected
 
 
@@ -270,7 +272,7 @@ def test_improbable_bias_by_a_start_in_motion_is_distrusted() -> None:
             monitor = monitor_of(landmarks(40, np.random.default_rng(1)))
             bias: Any = {name: np.array([0.0, sigmas * sigma, 0.0])}
             monitor.begin_in_motion(replace(START, **bias))
-            assert monitor.is_trusted is expected
+            assert monitor.is_consistent is expected
 
 
 def test_small_innovations_are_consistent_whatever_their_nis() -> None:
@@ -364,7 +366,7 @@ def test_implausible_states_are_lost_at_once(changes: dict[str, Any], reason: st
 
 
 @pytest.mark.parametrize(
-    ("frames_after", "is_trusted", "expected"),
+    ("frames_after", "is_consistent", "expected"),
     [
         (10, True, Health.LOST),
         (80, True, Health.LOST),
@@ -372,10 +374,12 @@ def test_implausible_states_are_lost_at_once(changes: dict[str, Any], reason: st
         (10, False, Health.INERTIAL_ONLY),  # it was not consistent before, either
     ],
 )
-def test_contradiction_after_exchanged_images_is_a_loss(frames_after: int, is_trusted: bool, expected: Health) -> None:
+def test_contradiction_after_exchanged_images_is_a_loss(
+    frames_after: int, is_consistent: bool, expected: Health
+) -> None:
     triangulated = landmarks(40, np.random.default_rng(1))
     good, bad = ([error_of_nis(nis)] for nis in (1.0, 1.05 * CONFIG.max_frame_nis))
-    monitor = monitor_of(triangulated, is_trusted=is_trusted)
+    monitor = monitor_of(triangulated, is_consistent=is_consistent)
     monitor.disconnect(START.t_ns)
     health = health_of(good * frames_after + bad, monitor, triangulated)
     assert Health.LOST not in health[:-1] and health[-1] == expected

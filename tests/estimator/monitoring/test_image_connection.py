@@ -32,11 +32,15 @@ def seen(ids: range) -> Observations:
 
 
 def test_keyframes_are_compared_with_those_before() -> None:
-    connection = ImageConnection()
-    assert connection.add_keyframe(seen(range(50)))
-    connection.end_frame(seen(range(50)))
-    assert connection.add_keyframe(seen(range(30, 80)))
-    connection.end_frame(seen(range(30, 50)))
-    assert not connection.add_keyframe(seen(range(100, 150)))
-    connection.end_frame(seen(range(0)))  # darkness
-    assert connection.add_keyframe(seen(range(200, 250)))
+    connection, connected = ImageConnection(), []
+    darkness = range(0)
+    for tracked, keyframe in (
+        (darkness, range(50)),
+        (range(50), range(30, 80)),
+        (range(30, 50), range(100, 150)),
+        (darkness, None),
+        (darkness, range(200, 250)),
+    ):
+        connection.add_frame(seen(tracked))
+        connected += [] if keyframe is None else [connection.add_keyframe(seen(keyframe))]
+    assert connected == [True, True, False, True]

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator import odometry, transitions
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.monitoring.plausibility import (
     LEAST_CORRECTIONS,
@@ -116,15 +117,15 @@ def test_a_window_that_jumps_is_a_loss_and_not_a_pose(make_flight: MakeFlight, m
     """The state of the newest keyframe is not checked by its prediction."""
     flight = make_flight(0, rest_s=1.5, duration_s=5.0)
     vio = VisualInertialOdometry(flight.rig, front_end=flight.front_end())
-    publish, count = vio._publish, 0
+    publish, count = transitions.publish, 0
 
-    def jumping(packet, state, *rest):  # type: ignore[no-untyped-def]
+    def jumping(parts, state, tracking, packet, estimated, *rest):  # type: ignore[no-untyped-def]
         nonlocal count
         count += 1
-        far = replace(state, velocity_m_s=state.velocity_m_s + 1e4) if count == 40 else state
-        return publish(packet, far, *rest)
+        far = replace(estimated, velocity_m_s=estimated.velocity_m_s + 1e4) if count == 39 else estimated
+        return publish(parts, state, tracking, packet, far, *rest)
 
-    monkeypatch.setattr(vio, "_publish", jumping)
+    monkeypatch.setattr(odometry, "publish", jumping)
     estimates: list[Estimate] = []
     for measurement in measurements(flight):
         if isinstance(measurement, ImuSamples):
