@@ -177,6 +177,15 @@ def test_gravity_is_found(make_flight: MakeFlight, gravity_m_s2: float, duration
     assert np.sqrt(found.covariance_inflation[[0, 3, 6, 12], [0, 3, 6, 12]]) == pytest.approx([1e-3, 2e-3, 0.01, 0.03])
 
 
+@pytest.mark.parametrize("gravity_m_s2", [9.78, 9.832])
+def test_later_windows_know_the_gravity_in_use(make_flight: MakeFlight, gravity_m_s2: float) -> None:
+    """A second window whose measurements contain the correction confirms it, and does not find a part of it anew."""
+    flight = make_flight(0, rest_s=-5.0, duration_s=13.0, noisy=False, sampling="increment", gravity_m_s2=gravity_m_s2)
+    found = calibrated(flight, replace(ALL_OFF, gravity=replace(ON, significance=0.0)), Errors(state_sigma=0.003))
+    assert found.estimate.gravity_m_s2 == pytest.approx(gravity_m_s2 - GRAVITY_M_S2, abs=4e-4)
+    assert found.sigmas.gravity_m_s2 < 0.04  # by two windows
+
+
 def test_the_adjustment_ends_with_a_short_step(noiseless: "SyntheticFlight", monkeypatch: pytest.MonkeyPatch) -> None:
     """Without errors, the first step is shorter than a standard deviation; a wrong time offset needs two."""
     ends, step = list[bool](), CalibrationProblem.step
