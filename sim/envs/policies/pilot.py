@@ -7,6 +7,7 @@ at which it was trained. The action modes of the environments turn its actions i
 
 from collections import deque
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -46,8 +47,6 @@ OBSERVED_IN_FLIGHT = (
 )
 """Observations that a drone in flight has: its state, the commands so far, the IMU, and the goals."""
 
-_ALL = np.ones(1, dtype=np.bool_)
-
 
 class PolicyPilot:
     """Flies the task of a policy once, after a take-off; implements `dronevio.sim.closed_loop.flight.Pilot`."""
@@ -74,7 +73,8 @@ class PolicyPilot:
             )
         self._policy, self._mission, self._goals = policy, mission, mission.goals
         self._intervals, self._interval_s = round(intervals), 1.0 / rig.imu.rate_hz
-        self._mode = action_mode(policy.action_mode, quadrotor, policy.action_limits, 1, self._interval_s)
+        self._mode = action_mode(policy.action_mode, quadrotor, policy.action_limits, self._interval_s)
+        self._loops: Any = ()
         self._rotors = _RotorModel(quadrotor, self._interval_s)
         self._T_vehicle_imu, self._T_imu_vehicle = rig.T_vehicle_imu, inverse_pose(rig.T_vehicle_imu)
         self._imu: deque[Array] = deque([np.zeros(6)] * self._intervals, self._intervals)
@@ -124,11 +124,12 @@ class PolicyPilot:
         now = self._states(state)
         if self._began_ns is None:
             self._began_ns = state.t_ns
-            self._mode.reset(_ALL, now)
+            self._loops = self._mode.start(now)
         if self._calls % self._intervals == 0:
             self._act(state, now)
         self._calls += 1
-        return self.commanded(self._mode.commands(self._action, lambda: now)[0])
+        commands, self._loops = self._mode.commands(self._loops, self._action, lambda: now)
+        return self.commanded(commands[0])
 
     def commanded(self, command: Array) -> Array:
         """Return rotor commands (4,) [rad/s], after they have been applied to the model of the rotors."""

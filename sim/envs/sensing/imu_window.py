@@ -70,13 +70,13 @@ class ImuWindow:
         self.samples[:] = self.samples[:, -1:]
 
     def save(self) -> dict[str, Any]:
-        """Return the state of window, errors and random numbers."""
-        return {"errors": self._errors.save(), "samples": self.samples, "bias": self.bias}
+        """Return the state of window, errors and random numbers, with arrays of its own."""
+        return {"errors": self._errors.save(), "samples": self.samples.copy(), "bias": self.bias.copy()}
 
     def restore(self, saved: dict[str, Any]) -> None:
         """Return to a state of `save`."""
         self._errors.restore(saved["errors"])
-        self.samples, self.bias = saved["samples"], saved["bias"]
+        self.samples, self.bias = saved["samples"].copy(), saved["bias"].copy()
 
     def _perfect(self) -> Array:
         """Return the noise-free IMU samples (n, 6) of the current time."""
