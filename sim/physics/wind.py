@@ -149,7 +149,7 @@ class GustyAir:
 
     def velocity_m_s(self) -> Array:
         """Return the velocity (…, 3) of the air in the world frame [m/s]."""
-        gust = self._scales * (_DIRECT * self._first + _DELAYED * self._second)
+        gust = self._scales * _gust(self._first, self._second)
         return np.asarray(self._mean + gust @ self._axes)
 
     def move_through(self, distance_m: Array) -> None:
@@ -238,7 +238,7 @@ class BatchAir:
         """Return the current velocities (k, 3) of the air in the world frame [m/s] at the selected vehicles."""
         if not self._gusty:
             return self._winds.mean_m_s[rows]
-        gust = self._scales[rows] * (_DIRECT * self._first[rows] + _DELAYED * self._second[rows])
+        gust = self._scales[rows] * _gust(self._first[rows], self._second[rows])
         return np.asarray(self._winds.mean_m_s[rows] + np.vecmat(gust, self._axes[rows]))
 
     def move_through(self, distance_m: Array, rows: Rows = slice(None)) -> None:
@@ -249,6 +249,11 @@ class BatchAir:
         n = rng.standard_normal((2, len(distance_m), 3))
         distance = distance_m[:, None] / self._unit.gust_lengths_m
         self._first[rows], self._second[rows] = _moved(self._first[rows], self._second[rows], distance, n)
+
+
+def _gust(first: Array, second: Array) -> Array:
+    """Return the gusts (…, 3) of unit variance, along the wind, across it and upwards, given both states (…, 3)."""
+    return np.asarray(_DIRECT * first + _DELAYED * second)
 
 
 def _stationary(n: Array) -> tuple[Array, Array]:
