@@ -11,8 +11,7 @@ from gymnasium import spaces
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
 from dronevio.models.rotation import pose_matrix
-from dronevio.sim.envs.episodes.actions import action_mode, checked_actions
-from dronevio.sim.envs.episodes.batches import merged, with_rows
+from dronevio.sim.envs.episodes.actions import action_mode, checked_actions, merged
 from dronevio.sim.envs.episodes.endings import GROUND_M, REASONS, Bounds, failures
 from dronevio.sim.envs.episodes.latency import DelayedActions
 from dronevio.sim.envs.episodes.options import overridden
@@ -27,7 +26,7 @@ from dronevio.sim.envs.settings import EnvironmentSettings
 from dronevio.sim.envs.tasks import Objective, Transition
 from dronevio.sim.envs.tasks.task import distance_m
 from dronevio.sim.physics.batch_plant import BatchPlant
-from dronevio.sim.physics.vehicle_states import Mask, VehicleStates
+from dronevio.sim.physics.vehicle_states import Mask, VehicleStates, with_rows
 from dronevio.sim.physics.wind import Winds
 from dronevio.sim.world import collision_spec, flight_area
 

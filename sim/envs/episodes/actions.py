@@ -27,7 +27,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.sim.physics.cascade import Body, Cascade, CascadeState, attitude_along
 from dronevio.sim.physics.gains import Gains
-from dronevio.sim.physics.vehicle_states import VehicleStates
+from dronevio.sim.physics.vehicle_states import Mask, VehicleStates
 
 Array = npt.NDArray[np.float64]
 
@@ -206,3 +206,11 @@ def _turned(vectors: Array, yaw_rad: Array) -> Array:
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     x, y = vectors[:, 0], vectors[:, 1]
     return np.stack([c * x - s * y, s * x + c * y, vectors[:, 2]], axis=1)
+
+
+def merged(mask: Mask, new: Any, old: Any) -> Any:
+    """Return nested tuples of arrays whose rows in a mask (n,) are new and whose other rows are old."""
+    if isinstance(new, tuple):
+        parts = (merged(mask, a, b) for a, b in zip(new, old, strict=True))
+        return type(new)(*parts) if new else new
+    return np.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)
