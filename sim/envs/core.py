@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
@@ -126,7 +125,7 @@ class DroneCore:
             images=None if self._renderer is None else self._renderer.start(count),
         )
         limits = limits_of(self.area, self._objective(), settings.vehicle, settings.samples)
-        self._arrangement = Arrangement(
+        self.arrangement = Arrangement(
             {name: observation_named(name, limits) for name in settings.observed if name not in settings.images},
             {} if self._renderer is None else self._renderer.spaces(),
             settings.observations,
@@ -138,21 +137,6 @@ class DroneCore:
     def count(self) -> int:
         """Number of environments."""
         return self.plant.count
-
-    @property
-    def action_space(self) -> spaces.Space[Any]:
-        """Space of the actions of one environment."""
-        return spaces.Box(-1.0, 1.0, (4,), np.float32)
-
-    @property
-    def observation_space(self) -> spaces.Space[Any]:
-        """Space of the observations of one environment."""
-        return self._arrangement.space
-
-    @property
-    def observation_shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shapes of the observations of the policy by name, in order."""
-        return self._arrangement.shapes
 
     @property
     def states(self) -> VehicleStates:
@@ -229,7 +213,8 @@ class DroneCore:
             commands, loops = self._mode.commands(loops, delayed.at(interval), self._perceived)
             self._advance(commands, interval)
         after = self.plant.states
-        reason = failures(after, self.plant.touched, self.plant.diverged, unestimated, self._bounds)
+        now = self.plant.now
+        reason = failures(after, now.touched, now.diverged, unestimated, self._bounds)
         standing_m = self.plant.standing_height_m
         sigma_m = np.zeros(self.count) if self._loop is None else self._loop.position_sigma_m
         step = Transition(last.states, after, action, last.action, self._t_s, reason > 0, standing_m, sigma_m)
@@ -263,7 +248,7 @@ class DroneCore:
             now.draws,
         )
         seen = true if self._loop is None else replace(true, states=self._loop.states(), imu_bias=self._loop.bias)
-        return self._arrangement.observe(seen, true, {} if now.images is None else now.images.images)
+        return self.arrangement.observe(seen, true, {} if now.images is None else now.images.images)
 
     def save(self) -> dict[str, Any]:
         """Return the state of episodes, physics, IMUs and random numbers, with arrays that no later step changes.

@@ -1,7 +1,6 @@
 """Settings of an environment: task, vehicle, world, sensors, actions, observations, randomization and rates."""
 
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
 from typing import Annotated, Any
 
 from dronevio.models.actions import ACTION_MODES, ActionLimits
@@ -119,7 +118,7 @@ class EnvironmentSettings(Settings):
         """Names of all observed images."""
         return tuple(kind for kind in IMAGES if kind in self.observed)
 
-    @cached_property
+    @property
     def has_imu(self) -> bool:
         """Whether the policy, a critic or an estimator receives measurements of the IMU."""
         return self.estimator is not None or not {"imu", "imu_bias"}.isdisjoint(self.observed)

@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from dronevio.models.imu import ImuConstants, ImuModel, ImuSamples
 from dronevio.sim.inertial.bias import Biases
-from dronevio.sim.inertial.vibration import NoVibration, Vibration
+from dronevio.sim.inertial.vibration import RotorHarmonics
 
 Array = npt.NDArray[np.float64]
 
@@ -22,7 +22,7 @@ class ImuErrors:
     evaluated at the time stamps; within an interval, a random walk changes by about a thousandth of the noise.
     """
 
-    def __init__(self, model: ImuModel, rng: np.random.Generator, vibration: Vibration | None = None) -> None:
+    def __init__(self, model: ImuModel, rng: np.random.Generator, vibration: RotorHarmonics | None = None) -> None:
         """Draw the constant errors and the initial biases.
 
         Args:
@@ -32,7 +32,7 @@ class ImuErrors:
         """
         self._model = model
         self._rng = rng
-        self._vibration = vibration or NoVibration()
+        self._vibration = vibration
         constants_rng, flicker_rng = rng.spawn(2)
         self._biases = Biases(model, rng, flicker_rng)
         self._density = noise_density(model)
@@ -44,7 +44,8 @@ class ImuErrors:
 
         Args:
             perfect: N noise-free samples, points or increments, later than those of the last call.
-            rotor_speeds_rad_s: (N, 4) Rotor speeds for the vibration [rad/s] (see `Vibration`); standstill by default.
+            rotor_speeds_rad_s: (N, 4) Rotor speeds for the vibration [rad/s] (see
+                `RotorHarmonics.sensed`); standstill by default.
 
         Returns:
             The measured samples, the gyroscope biases (N, 3) [rad/s] and the accelerometer biases (N, 3) [m/s²].
@@ -52,9 +53,12 @@ class ImuErrors:
         n = len(perfect)
         if n == 0:
             return perfect, np.zeros((0, 3)), np.zeros((0, 3))
-        speeds = np.zeros((n, 4)) if rotor_speeds_rad_s is None else rotor_speeds_rad_s
-        vibration_gyro, vibration_accel = self._vibration.sensed(perfect, speeds)
-        gyro, accel = self.constants.response(perfect.gyro_rad_s + vibration_gyro, perfect.accel_m_s2 + vibration_accel)
+        gyro, accel = perfect.gyro_rad_s, perfect.accel_m_s2
+        if self._vibration is not None:
+            speeds = np.zeros((n, 4)) if rotor_speeds_rad_s is None else rotor_speeds_rad_s
+            turning, shaking = self._vibration.sensed(perfect, speeds)
+            gyro, accel = gyro + turning, accel + shaking
+        gyro, accel = self.constants.response(gyro, accel)
         bias = self._biases.advance_to(perfect.t_ns)
         errors = bias + self._density * self._root_rate(perfect) * self._rng.standard_normal((n, 6))
         gyro, accel = read_out(self._model, gyro + errors[:, :3], accel + errors[:, 3:])

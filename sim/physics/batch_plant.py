@@ -115,6 +115,11 @@ class BatchPlant:
         return self._standing_m
 
     @property
+    def now(self) -> PlantState:
+        """State of the vehicles at the current time; in a plant without IMUs, their samples are zeros."""
+        return self._now
+
+    @property
     def t_ns(self) -> npt.NDArray[np.int64]:
         """(n,) Times since the last reset of each vehicle [ns]."""
         return self._now.elapsed * self.interval_ns
@@ -134,31 +139,6 @@ class BatchPlant:
             rotors.charge.copy(),
             rotors.voltage_v.copy(),
         )
-
-    @property
-    def rotor_speeds_rad_s(self) -> Array:
-        """(n, 4) Speeds of the rotors from the current time on [rad/s]."""
-        return self._now.rotors.speed_rad_s.copy()
-
-    @property
-    def samples(self) -> PointSamples:
-        """Noise-free IMU samples at the current time, of t = 0 after a reset; zeros in a plant without IMUs."""
-        return self._now.samples
-
-    @property
-    def touched(self) -> Mask:
-        """(n,) Whether a vehicle has collided since its reset: any contact but that of a foot with the ground."""
-        return self._now.touched.copy()
-
-    @property
-    def diverged(self) -> Mask:
-        """(n,) Whether the simulation of a vehicle has diverged since its reset."""
-        return self._now.diverged.copy()
-
-    @property
-    def parameters(self) -> VehicleParameters:
-        """Physical parameters of the vehicles."""
-        return self._now.parameters
 
     @property
     def winds(self) -> Winds:
@@ -181,8 +161,8 @@ class BatchPlant:
     def restore(self, saved: SavedPlant) -> None:
         """Return to a state of a plant of the same vehicle type, world and rates, with as many vehicles."""
         self._now = saved.vehicles
-        self._rotors = Rotors(self.quadrotor, self.parameters)
-        self._simulation.restore(saved.physics, self.parameters)
+        self._rotors = Rotors(self.quadrotor, self._now.parameters)
+        self._simulation.restore(saved.physics, self._now.parameters)
         self._air.restore(saved.air)
 
     def reset(
@@ -208,7 +188,7 @@ class BatchPlant:
             return
         states = states.rows(rows)
         states.check(FASTEST)
-        own = (parameters or self.parameters).rows(rows)
+        own = (parameters or self._now.parameters).rows(rows)
         if parameters is not None:
             self._simulation.change_bodies(rows, own)
         self._air.renew(rows, self.winds if winds is None else with_rows(self.winds, rows, winds.rows(rows)))
@@ -227,7 +207,7 @@ class BatchPlant:
         placed = PlantState(own, rotors, elapsed, flown.touched, flown.diverged, flown.start, between, samples)
         self._now = self._now.with_vehicles(rows, placed)
         if parameters is not None:
-            self._rotors = Rotors(self.quadrotor, self.parameters)
+            self._rotors = Rotors(self.quadrotor, self._now.parameters)
 
     def advance(self, commands: Array) -> PointSamples:
         """Apply commands (n, 4) of rotor speeds [rad/s] for one IMU interval, and return the IMU samples at its end."""

@@ -16,7 +16,7 @@ from dronevio.sim.physics.motion import Motion
 from dronevio.sim.physics.rotors import ALL_POWERED, Airflow, MotorFailure, Rotors
 from dronevio.sim.physics.simulation import MotionRecord, Simulation
 from dronevio.sim.physics.vehicle import LONGEST_STEP_S, imu_interval_ns, physics_model, standing_pose
-from dronevio.sim.physics.wind import CALM, Wind, make_air
+from dronevio.sim.physics.wind import CALM, Air, Wind
 
 Array = npt.NDArray[np.float64]
 
@@ -64,7 +64,7 @@ class QuadrotorPlant:
         substeps = max(2, int(np.ceil(self.interval_s / LONGEST_STEP_S - 1e-9)))
         self._step_s = self.interval_s / substeps
         self._rotors = Rotors(self.quadrotor)
-        self._air = make_air(wind, rng)
+        self._air = Air(wind, rng)
         self._failure = failure or MotorFailure(0, np.inf)
         self._simulation = Simulation(physics_model(self.quadrotor, rig, self._step_s, surroundings), substeps)
         self._pad = np.zeros(3) if pad_m is None else np.asarray(pad_m, dtype=np.float64)

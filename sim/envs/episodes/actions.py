@@ -21,6 +21,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 
 from dronevio.models.actions import ACTION_MODES, ActionLimits
 from dronevio.models.errors import ConfigError
@@ -161,6 +162,11 @@ def action_mode(name: str, quadrotor: Quadrotor, limits: ActionLimits, interval_
     if name == "rotors":
         return RotorSpeeds(quadrotor)
     return ControlledFlight(quadrotor, limits, _LAWS[name], interval_s)
+
+
+def action_space() -> spaces.Space[Any]:
+    """Return the space of the actions of one environment."""
+    return spaces.Box(-1.0, 1.0, (4,), np.float32)
 
 
 def checked_actions(actions: npt.ArrayLike, count: int) -> Array:

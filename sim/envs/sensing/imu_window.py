@@ -48,7 +48,7 @@ class ImuWindow:
         rows = np.flatnonzero(mask)
         self._errors.reset(mask)
         perfect = self._perfect()[rows]
-        sensed = self._errors.first(perfect, rows, self._plant.rotor_speeds_rad_s[rows])
+        sensed = self._errors.first(perfect, rows, self._plant.now.rotors.speed_rad_s[rows])
         first, bias = _scaled(perfect, *sensed, factor[rows])
         self.samples[rows], self.bias[rows] = first[:, None], bias
 
@@ -60,7 +60,7 @@ class ImuWindow:
             factor: (n,) Factors of the errors.
         """
         perfect = self._perfect()
-        sensed = self._errors.add_to(perfect, self._plant.rotor_speeds_rad_s)
+        sensed = self._errors.add_to(perfect, self._plant.now.rotors.speed_rad_s)
         sample, self.bias = _scaled(perfect, *sensed, factor)
         self.samples[:, interval] = sample
         return sample
@@ -80,7 +80,7 @@ class ImuWindow:
 
     def _perfect(self) -> Array:
         """Return the noise-free IMU samples (n, 6) of the current time."""
-        samples = self._plant.samples
+        samples = self._plant.now.samples
         return np.concatenate([samples.gyro_rad_s, samples.accel_m_s2], axis=1)
 
 
