@@ -109,10 +109,19 @@ class EnvironmentSettings(Settings):
         return round(self.imu_rate_hz / self.action_rate_hz)
 
     @property
+    def observed(self) -> tuple[str, ...]:
+        """Names of all observations, those of the policy first."""
+        return (*self.observations, *self.privileged)
+
+    @property
     def images(self) -> tuple[ImageKind, ...]:
         """Names of all observed images."""
-        named = {*self.observations, *self.privileged}
-        return tuple(kind for kind in IMAGES if kind in named)
+        return tuple(kind for kind in IMAGES if kind in self.observed)
+
+    @property
+    def has_imu(self) -> bool:
+        """Whether the policy, a critic or an estimator receives measurements of the IMU."""
+        return self.estimator is not None or not {"imu", "imu_bias"}.isdisjoint(self.observed)
 
     @property
     def steps_per_image(self) -> int:

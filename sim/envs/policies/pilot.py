@@ -7,6 +7,7 @@ at which it was trained. The action modes of the environments turn its actions i
 
 from collections import deque
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,12 +16,12 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import Controller
 from dronevio.models.quadrotor import Quadrotor
-from dronevio.models.rotation import inverse_pose
 from dronevio.models.state import NavState
 from dronevio.sim.envs.episodes.actions import action_mode
 from dronevio.sim.envs.episodes.endings import failures
 from dronevio.sim.envs.episodes.randomization import Draws
 from dronevio.sim.envs.policies.mission import PolicyMission
+from dronevio.sim.envs.sensing.estimator_loop import Perceived
 from dronevio.sim.envs.sensing.observations import Situation, limits_of, observation_named
 from dronevio.sim.envs.tasks import Objective, Transition
 from dronevio.sim.paths.path import Reference
@@ -45,8 +46,6 @@ OBSERVED_IN_FLIGHT = (
     "last_action",
 )
 """Observations that a drone in flight has: its state, the commands so far, the IMU, and the goals."""
-
-_ALL = np.ones(1, dtype=np.bool_)
 
 
 class PolicyPilot:
@@ -74,9 +73,9 @@ class PolicyPilot:
             )
         self._policy, self._mission, self._goals = policy, mission, mission.goals
         self._intervals, self._interval_s = round(intervals), 1.0 / rig.imu.rate_hz
-        self._mode = action_mode(policy.action_mode, quadrotor, policy.action_limits, 1, self._interval_s)
+        self._mode = action_mode(policy.action_mode, quadrotor, policy.action_limits, self._interval_s)
+        self._loops: Any = ()
         self._rotors = _RotorModel(quadrotor, self._interval_s)
-        self._T_vehicle_imu, self._T_imu_vehicle = rig.T_vehicle_imu, inverse_pose(rig.T_vehicle_imu)
         self._imu: deque[Array] = deque([np.zeros(6)] * self._intervals, self._intervals)
         limits = limits_of(mission.area, self._objective(0.0), quadrotor, self._intervals)
         self._named = {name: observation_named(name, limits) for name in policy.names}
@@ -120,15 +119,20 @@ class PolicyPilot:
 
         Args:
             state: True or estimated state of the IMU in the world, with its angular velocity.
+
+        Raises:
+            ConfigError: The state has no angular velocity.
         """
-        now = self._states(state)
+        rotating = VehicleStates.at(np.zeros((1, 3)), rotor_speed_rad_s=self._rotors.speeds_rad_s)
+        now = Perceived.of(state, self._mission.scenario.rig.T_vehicle_imu).states(rotating)
         if self._began_ns is None:
             self._began_ns = state.t_ns
-            self._mode.reset(_ALL, now)
+            self._loops = self._mode.start(now)
         if self._calls % self._intervals == 0:
             self._act(state, now)
         self._calls += 1
-        return self.commanded(self._mode.commands(self._action, lambda: now)[0])
+        commands, self._loops = self._mode.commands(self._loops, self._action, lambda: now)
+        return self.commanded(commands[0])
 
     def commanded(self, command: Array) -> Array:
         """Return rotor commands (4,) [rad/s], after they have been applied to the model of the rotors."""
@@ -165,19 +169,6 @@ class PolicyPilot:
     def _objective(self, t_s: float) -> Objective:
         """Return the current and the following goals at a time since the policy began [s]."""
         return self._mission.task.objective(self._mission.area, self._goals, np.array([t_s]))
-
-    def _states(self, state: NavState) -> VehicleStates:
-        """Return the state of the vehicle, given that of the IMU.
-
-        Raises:
-            ConfigError: The state has no angular velocity.
-        """
-        if state.angular_velocity_rad_s is None:
-            raise ConfigError("state without angular velocity; expected one, since the policy observes the rates")
-        T = state.T_world_imu @ self._T_imu_vehicle
-        R, rate = T[:3, :3], self._T_vehicle_imu[:3, :3] @ state.angular_velocity_rad_s
-        velocity = state.velocity_m_s - R @ np.cross(rate, self._T_vehicle_imu[:3, 3])
-        return VehicleStates.at(T[None, :3, 3], R, velocity, rate, self._rotors.speeds_rad_s)
 
 
 class _TakeOff:
