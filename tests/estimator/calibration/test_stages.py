@@ -34,7 +34,7 @@ class Adjustments:
     landmarks: Callable[[int], int] = lambda index: 100
     """Number of landmarks of each window by its index."""
     windows: list[tuple[WindowKeyframe, ...]] = field(default_factory=list)
-    """The windows."""
+    """The keyframes of each window."""
     information: list[Array] = field(default_factory=list)
     """Information matrices of their priors."""
 
@@ -98,7 +98,7 @@ def times_s(window: tuple[WindowKeyframe, ...]) -> list[float]:
     return [window[0].state.t_ns * 1e-9, window[-1].state.t_ns * 1e-9]
 
 
-def test_an_adjustment_goes_on_where_the_next_window_has_few_landmarks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_adjustment_goes_on_if_the_next_has_few_landmarks(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first part, of 1.2 s, takes four steps; the longer ones after it see too little."""
     adjustments = Adjustments(corrections(time_offset_s=0.002), 4, lambda index: 100 if index == 0 else 3)
     calibration, corrected_s = fed(monkeypatch, adjustments, [True] + [False] * 12)
@@ -107,7 +107,7 @@ def test_an_adjustment_goes_on_where_the_next_window_has_few_landmarks(monkeypat
     assert corrected_s == pytest.approx([3.3]) and calibration.applied.time_offset_s == 0.002
 
 
-def test_a_part_of_a_window_that_corrects_verifies_the_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_part_that_corrects_verifies_the_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that does not leaves the prior as it was, also its time, so that no random walk is added."""
     adjustments = Adjustments(corrections())
     calibration, corrected_s = fed(monkeypatch, adjustments, [True] + [False] * 18)
