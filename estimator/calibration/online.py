@@ -55,7 +55,7 @@ class CalibrationPrior:
     parameters: ParameterTable
     """The parameters of its corrections."""
     config: CalibrationConfig
-    """Settings."""
+    """Settings of the online calibration."""
 
     def problem(
         self, window: CalibrationWindow, estimate: ParameterEstimate, config: AdjustmentConfig
@@ -85,7 +85,7 @@ class Adjusting:
     """A window is adjusted, one step at a time."""
 
     window: CalibrationWindow
-    """The window."""
+    """The window under adjustment."""
     problem: CalibrationProblem
     """Its adjustment, which changes with each step."""
 
@@ -95,7 +95,7 @@ class Collected:
     """A window waits for its adjustment."""
 
     window: CalibrationWindow
-    """The window."""
+    """The window that waits."""
     earlier: Idle | Adjusting
     """What goes on if this window has too few keyframes or landmarks."""
 
