@@ -20,7 +20,7 @@ from pathlib import Path
 from types import FrameType
 
 import tyro
-from markdown_tables import table
+from measuring import table
 
 INTERVAL_S = 0.001
 """Time between two samples of the profiler [s]."""
