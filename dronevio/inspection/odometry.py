@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dronevio.driver import estimate_recording
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
+from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.alignment import align
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.run import EstimatorRun

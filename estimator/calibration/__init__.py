@@ -9,12 +9,7 @@ if TYPE_CHECKING:
     from dronevio.estimator.calibration.corrections import Corrections
     from dronevio.estimator.calibration.online import OnlineCalibration
 
-__all__ = [
-    "CalibratedPart",
-    "CalibrationConfig",
-    "Corrections",
-    "OnlineCalibration",
-]
+__all__ = ["CalibratedPart", "CalibrationConfig", "Corrections", "OnlineCalibration"]
 
 __getattr__, __dir__ = attach(
     __name__,

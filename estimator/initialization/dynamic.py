@@ -147,8 +147,8 @@ def initialize_dynamic(
     """
     c, stereo = config, is_stereo(window, config)
     measured = WindowMeasurements.of(window, Ts_imu_cam, c.max_frames, c.min_observations)
-    tracks, xy_sigma = measured.tracks, c.pixel_sigma / focal_px
-    implausible = implausible_imu(measured.imu.gyro_rad_s, measured.imu.accel_m_s2, gravity_m_s2)
+    tracks, gyro_rad_s, xy_sigma = measured.tracks, measured.imu.increments.gyro_rad_s, c.pixel_sigma / focal_px
+    implausible = implausible_imu(gyro_rad_s, measured.imu.increments.accel_m_s2, gravity_m_s2)
     if implausible is not None:
         return implausible
     if len(tracks) < c.min_landmarks:
@@ -164,7 +164,7 @@ def initialize_dynamic(
             f"a parallax of {rounded_down(parallax_px)} px, {needed_px:g} px are needed: motion sideways helps, or rest"
         )
     noise = NoiseModel(xy_sigma, c.outlier_sigmas, accel_bias, gravity_m_s2)
-    cause = probable_cause(rotation, measured.imu.angular_velocity_deviation_rad_s, c)
+    cause = probable_cause(rotation, float(np.sqrt(np.var(gyro_rad_s, axis=0).sum())), c)
     try:
         initial = solve_closed_form(measured, rotation.bias_rad_s, rotation.weights, noise)
         refined = refine(measured, initial, gyro_bias, noise)
@@ -178,11 +178,8 @@ def initialize_dynamic(
         return reason
     R_world_imu = level_rotation(-state.gravity)
     pose, velocity = pose_matrix(R_world_imu, np.zeros(3)), R_world_imu @ state.velocity
-    return DynamicStart(
-        NavState(window[0].t_ns, pose, velocity, state.gyro_bias, state.accel_bias),
-        tracks.ids[~refined.inliers],
-        _evidence_of_time_offset(free),
-    )
+    start = NavState(window[0].t_ns, pose, velocity, state.gyro_bias, state.accel_bias)
+    return DynamicStart(start, tracks.ids[~refined.inliers], _evidence_of_time_offset(free))
 
 
 def _evidence_of_time_offset(free: RefinedState) -> NotObservable | None:

@@ -35,7 +35,7 @@ _DIFFERENCE_S = 0.0025  # least step of those by the time offset
 
 @dataclass(frozen=True, eq=False)
 class RefinedState:
-    """A state with what is needed to judge it."""
+    """A state, and the measures of its quality."""
 
     state: WindowState
     """State at the first frame of the window."""
@@ -104,13 +104,7 @@ class _Equations:
     depth_m: Array
 
     @classmethod
-    def at(
-        cls,
-        measured: WindowMeasurements,
-        state: WindowState,
-        landmarks: Array,
-        noise: NoiseModel,
-    ) -> "_Equations":
+    def at(cls, measured: WindowMeasurements, state: WindowState, landmarks: Array, noise: NoiseModel) -> "_Equations":
         tracks, geometry = measured.tracks, _geometry(measured, state.gyro_bias)
         at_frames, by_offset = geometry.in_cameras(landmarks, state.y), _by_time_offset(measured, state, landmarks)
         in_cameras = at_frames + state.time_offset_s * by_offset

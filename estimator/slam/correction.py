@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
-from dronevio.estimator.slam.odometry_factors import OdometryNode, RelativePose, odometry_factors, propagated
+from dronevio.estimator.slam.map.odometry_factors import OdometryNode, RelativePose, odometry_factors, propagated
 from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]

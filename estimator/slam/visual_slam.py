@@ -19,15 +19,23 @@ from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.preintegration import PreintegrationParams
 from dronevio.estimator.keyframe_observer import OdometryKeyframe
-from dronevio.estimator.slam.adjuster import solved
-from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs
+from dronevio.estimator.odometry import VisualInertialOdometry
+from dronevio.estimator.slam.adjustment.adjuster import solved
+from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentInputs
+from dronevio.estimator.slam.adjustment.final_graph import at_optimum, measured_in_map
+from dronevio.estimator.slam.adjustment.flight_measurements import FlightMeasurements, KeyframeMeasurements
+from dronevio.estimator.slam.adjustment.structure import map_structure
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
-from dronevio.estimator.slam.final_graph import at_optimum, measured_in_map
-from dronevio.estimator.slam.flight_measurements import FlightMeasurements, KeyframeMeasurements
-from dronevio.estimator.slam.g2o import write_g2o
-from dronevio.estimator.slam.map_arrays import MapSummary
-from dronevio.estimator.slam.map_builder import (
+from dronevio.estimator.slam.files.g2o import write_g2o
+from dronevio.estimator.slam.files.map_file import read_map, write_map
+from dronevio.estimator.slam.files.saved_arrays import MIN_KEYFRAMES
+from dronevio.estimator.slam.files.saved_map import SavedMap, saved_map
+from dronevio.estimator.slam.map.map_arrays import MapSummary
+from dronevio.estimator.slam.map.pose_graph import OptimizedGraph, PoseGraph
+from dronevio.estimator.slam.mapper import Mapper
+from dronevio.estimator.slam.schedule import CorrectionSchedule
+from dronevio.estimator.slam.worker.map_builder import (
     ImagedKeyframe,
     LocalMap,
     MapCost,
@@ -37,16 +45,8 @@ from dronevio.estimator.slam.map_builder import (
     TrackLost,
     WindowKeyframe,
 )
-from dronevio.estimator.slam.map_file import read_map, write_map
-from dronevio.estimator.slam.map_process import MapProcess
-from dronevio.estimator.slam.mapping import Mapper
-from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph
-from dronevio.estimator.slam.saved_arrays import MIN_KEYFRAMES
-from dronevio.estimator.slam.saved_map import SavedMap, saved_map
-from dronevio.estimator.slam.schedule import CorrectionSchedule
-from dronevio.estimator.slam.structure import map_structure
+from dronevio.estimator.slam.worker.map_process import MapProcess
 from dronevio.estimator.threads import single_threaded
-from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.map_correction import MapCorrection

@@ -19,9 +19,9 @@ import psutil
 import pytest
 
 from dronevio.cli import main
-from dronevio.cli.run import print_report
-from dronevio.cli.view import viewer_program
-from dronevio.estimator.slam.map_file import read_map
+from dronevio.cli.commands.run import print_report
+from dronevio.cli.commands.view import viewer_program
+from dronevio.estimator.slam.files.map_file import read_map
 from dronevio.models.recordings.euroc import EurocRecording
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rig_presets import rig_named

@@ -133,7 +133,7 @@ def test_profiler_attributes_processor_time_to_stages(profiler: Any, tmp_path: P
         "    for k in range(n * 60000):\n"
         "        total += k\n"
     )
-    module = tmp_path / "estimator" / "vio.py"
+    module = tmp_path / "estimator" / "odometry.py"
     module.parent.mkdir()
     module.write_text(source)
     space: dict[str, Any] = {}

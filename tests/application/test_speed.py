@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from dronevio.cli import main
-from dronevio.cli.speed.recording_cost import (
+from dronevio.cli.commands.speed.recording_cost import (
     Timing,
     measured_rig,
     measured_scenario,

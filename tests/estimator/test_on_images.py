@@ -12,9 +12,9 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.cli import main
-from dronevio.driver import estimate_recording
 from dronevio.estimator.book.eqvio import read_feature_recording
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
+from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.alignment import align
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.camera import CameraModel

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 
+from dronevio.benchmark.expectations import EXPECTATIONS
 from dronevio.eval.benchmark.outcomes import MAX_SIGMAS, Expectation, verdicts
 from dronevio.eval.benchmark.rows import Row
 from dronevio.eval.report.benchmark.model import BenchmarkResults
 from dronevio.eval.report.benchmark.page import benchmark_page
 from dronevio.eval.report.benchmark.tables import outcome_table
-from dronevio.expectations import EXPECTATIONS
 from dronevio.sim.scenarios import SUITES
 
 CLEAN = Row("clean", "room", 0, "vio", "c", "v", "ok", ate_m=0.01, longest_loss_s=0.0, tracking_sigmas=1.0)

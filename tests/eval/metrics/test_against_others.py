@@ -90,7 +90,7 @@ def test_absolute_and_relative_errors_agree_with_evo(seed: int) -> None:
 
 def test_published_results_are_reproduced(data_folder: Path) -> None:
     """All statistics of evo, the rpg toolbox, a KITTI evaluation and TUM's scripts agree, with equal counts."""
-    parity = module_at(CHECKOUT / "scripts" / "parity.py")
+    parity = module_at(CHECKOUT / "benchmarks" / "parity.py")
     rows = parity.all_rows(data_folder / "trajectories")
     assert [row for row in rows if row.verdict == "differs"] == []
     reasons = Counter(row.reason.removeprefix("KITTI_00_SPTAM.txt ") for row in rows if row.reason)

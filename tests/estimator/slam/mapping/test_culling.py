@@ -10,11 +10,9 @@ import pytest
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.config import SlamConfig
-from dronevio.estimator.slam.keyframe import MapKeyframe
-from dronevio.estimator.slam.map_arrays import MapSummary
-from dronevio.estimator.slam.map_builder import LocalMap, MarginalizedKeyframe
-from dronevio.estimator.slam.mapping import Mapper, MappingConfig
-from dronevio.estimator.slam.odometry_factors import (
+from dronevio.estimator.slam.map.keyframe import MapKeyframe
+from dronevio.estimator.slam.map.map_arrays import MapSummary
+from dronevio.estimator.slam.map.odometry_factors import (
     MAX_DECREASE,
     OdometryNode,
     RelativePose,
@@ -22,9 +20,11 @@ from dronevio.estimator.slam.odometry_factors import (
     first_node,
     reversed_pose,
 )
-from dronevio.estimator.slam.pose_graph import optimize
-from dronevio.estimator.slam.recognizer import PlaceRecognizer
-from dronevio.estimator.slam.submap import MAX_PASSED_LOOPS, Submap
+from dronevio.estimator.slam.map.pose_graph import optimize
+from dronevio.estimator.slam.map.submap import MAX_PASSED_LOOPS, Submap
+from dronevio.estimator.slam.mapper import Mapper, MappingConfig
+from dronevio.estimator.slam.places.recognizer import PlaceRecognizer
+from dronevio.estimator.slam.worker.map_builder import LocalMap, MarginalizedKeyframe
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix, rotation_z
 from tests.estimator.slam.mapping.conftest import marginal_covariance
 from tests.estimator.slam.process.conftest import DRIFT_M, PLACES, keyframe, one_camera

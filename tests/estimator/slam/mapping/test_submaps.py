@@ -10,13 +10,13 @@ import pytest
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.correction import Correction
-from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
-from dronevio.estimator.slam.localization import KeyframeView
-from dronevio.estimator.slam.mapping import Mapper
-from dronevio.estimator.slam.odometry_factors import RelativePose, first_node, propagated
-from dronevio.estimator.slam.pose_graph import PoseGraph, joined_graphs, optimize
-from dronevio.estimator.slam.submap import Submap
-from dronevio.estimator.slam.verification import PlaceMatch
+from dronevio.estimator.slam.map.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
+from dronevio.estimator.slam.map.odometry_factors import RelativePose, first_node, propagated
+from dronevio.estimator.slam.map.pose_graph import PoseGraph, joined_graphs, optimize
+from dronevio.estimator.slam.map.submap import Submap
+from dronevio.estimator.slam.mapper import Mapper
+from dronevio.estimator.slam.places.localization import KeyframeView
+from dronevio.estimator.slam.places.verification import PlaceMatch
 from dronevio.models.map_correction import MapCorrection
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix, rotation_z
 from dronevio.models.state import Trajectory
