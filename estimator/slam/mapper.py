@@ -367,8 +367,8 @@ class Mapper:
         """
         self._between = (*self._between, *loops)[-MAX_BETWEEN:] if loops else self._between
         for other in self._submaps:
-            found = [loop for loop in loops if loop.first in other.graph.poses]
-            if not found or other.tracks & submap.tracks:
+            is_reached = any(loop.first in other.graph.poses for loop in loops)
+            if not is_reached or other.tracks & submap.tracks:
                 continue
             between = agreeing_loops(self._between, other, submap)
             if len({loop.second for loop in between}) > 1:
@@ -390,17 +390,17 @@ class Mapper:
         old = [k for k in self._references(graph, keyframe) if k.number in self._patches]
         if not old:
             return []
-        T_map_imu, found = graph.poses[keyframe.number], []
+        T_map_imu, loops = graph.poses[keyframe.number], []
         for row in nearest_views(np.stack([graph.poses[k.number] for k in old]), T_map_imu, c.covisibility):
             match = old[row]
             predicted = inverse_pose(graph.poses[match.number]) @ T_map_imu
             patches = self._patches[match.number]
             result = self._localizer.localize(keyframe, images, match, patches, predicted)
             if result is not None:
-                found.append(result)
-        if found:
+                loops.append(result)
+        if loops:
             self._localized_ns = keyframe.t_ns
-        return found
+        return loops
 
 
 def _loop(match: PlaceMatch) -> RelativePose:
