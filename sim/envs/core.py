@@ -17,14 +17,14 @@ from dronevio.sim.envs.episodes.batches import with_rows
 from dronevio.sim.envs.episodes.endings import GROUND_M, REASONS, Bounds, failures
 from dronevio.sim.envs.episodes.latency import DelayedActions
 from dronevio.sim.envs.episodes.options import overridden
-from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.sensing.arrangement import Arrangement
 from dronevio.sim.envs.sensing.camera_observation import Images
 from dronevio.sim.envs.sensing.estimation import EstimatorFactory
 from dronevio.sim.envs.sensing.estimator_loop import EstimatorLoop
 from dronevio.sim.envs.sensing.held_images import HeldImages
 from dronevio.sim.envs.sensing.imu_window import ImuWindow
-from dronevio.sim.envs.sensing.observations import Situation, limits_of, observation_named
+from dronevio.sim.envs.sensing.observations import ObservedState, limits_of, observation_named
 from dronevio.sim.envs.settings import EnvironmentSettings
 from dronevio.sim.envs.tasks import Objective, Transition
 from dronevio.sim.envs.tasks.task import distance_m
@@ -100,7 +100,7 @@ class DroneCore:
         ground_m = -np.inf if self.task.lands else self._standing_m + GROUND_M
         self._bounds = Bounds(self.task.bounds_m(self.area), ground_m)
         self._rng = np.random.default_rng(0)
-        self._draws = Draws.nominal(count, settings.world_seed)
+        self._draws = RandomizedParameters.nominal(count, settings.world_seed)
         self._states, self._goals = self._begin(count)
         self._loop: EstimatorLoop | None = None
         self._begun_ns = np.zeros(count, dtype=np.int64)
@@ -191,7 +191,7 @@ class DroneCore:
 
     def observe(self) -> Observations:
         """Return the observations of n environments: of the policy as perceived, of the critic as they are."""
-        true = Situation(
+        true = ObservedState(
             self._states,
             self._objective(),
             self._imu.samples,
@@ -339,9 +339,9 @@ class DroneCore:
         standing = self.plant.standing_height_m
         return Transition(before, after, action, self._action, self._t_s, failed, standing, sigma)
 
-    def _observed(self, situation: Situation, names: tuple[str, ...]) -> Images:
+    def _observed(self, state: ObservedState, names: tuple[str, ...]) -> Images:
         """Return some observations other than images by name."""
-        return {name: self._named[name].observe(situation) for name in names if name in self._named}
+        return {name: self._named[name].observe(state) for name in names if name in self._named}
 
     def _require_copyable(self) -> None:
         """Raise ConfigError if there is an estimator."""

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from dronevio.models.rotation import exp_so3
-from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.sensing.held_images import HeldImages
 
 Array = npt.NDArray[np.float64]
@@ -48,22 +48,22 @@ def held(period: int) -> tuple[HeldImages, list[CountingSource]]:
     return HeldImages(3, period, source, 0), sources
 
 
-def seen(images: HeldImages, draws: Draws) -> list[int]:
+def seen(images: HeldImages, randomized: RandomizedParameters) -> list[int]:
     """Return the grey levels of the images of three environments."""
     poses = np.tile(np.eye(4), (3, 1, 1))
-    levels: list[int] = images.observe(poses, np.zeros(3, np.int64), draws)["grey"][:, 0, 0, 0].tolist()
+    levels: list[int] = images.observe(poses, np.zeros(3, np.int64), randomized)["grey"][:, 0, 0, 0].tolist()
     return levels
 
 
 def test_images_are_repeated_until_the_next_is_due() -> None:
     images, sources = held(2)
-    draws = Draws.nominal(3, 0)
-    assert seen(images, draws) == seen(images, draws) == [101] * 3
+    randomized = RandomizedParameters.nominal(3, 0)
+    assert seen(images, randomized) == seen(images, randomized) == [101] * 3
     images.step()
     images.reset(np.array([False, True, False]))
-    assert seen(images, draws) == [101, 102, 101]
+    assert seen(images, randomized) == [101, 102, 101]
     images.step()
-    assert seen(images, draws) == [103, 102, 103]
+    assert seen(images, randomized) == [103, 102, 103]
     assert [len(poses) for poses in sources[0].poses] == [3, 1, 2]
 
 
@@ -71,30 +71,30 @@ def test_textures_light_and_mounting_are_those_drawn() -> None:
     images, sources = held(1)
     rotation, translation = np.zeros((3, 3)), np.zeros((3, 3))
     rotation[1], translation[1] = [0.1, 0.0, 0.0], [0.0, 0.02, 0.0]
-    draws = replace(
-        Draws.nominal(3, 0),
+    randomized = replace(
+        RandomizedParameters.nominal(3, 0),
         light=np.array([1.0, 2.0, 9.0]),
         texture_seed=np.array([0, 1, 0]),
         camera_rotation_rad=rotation,
         camera_translation_m=translation,
     )
-    assert seen(images, draws) == [101, 222, 255]
+    assert seen(images, randomized) == [101, 222, 255]
     assert [source.texture_seed for source in sources] == [0, 1]
     error = sources[1].poses[0][0]
     np.testing.assert_allclose(error[:3, :3], exp_so3(rotation[1]))
     np.testing.assert_allclose(error[:3, 3], translation[1])
-    assert images.observe(np.tile(np.eye(4), (3, 1, 1)), np.zeros(3, np.int64), draws)["depth"].max() == 2.0
+    assert images.observe(np.tile(np.eye(4), (3, 1, 1)), np.zeros(3, np.int64), randomized)["depth"].max() == 2.0
     images.close()
     assert all(source.closed for source in sources)
 
 
 def test_saved_images_can_be_restored() -> None:
     images, _ = held(2)
-    draws = Draws.nominal(3, 0)
-    seen(images, draws)
+    randomized = RandomizedParameters.nominal(3, 0)
+    seen(images, randomized)
     images.step()
     saved = images.save()
     images.reset(EVERY)
-    assert seen(images, draws) == [102] * 3
+    assert seen(images, randomized) == [102] * 3
     images.restore(saved)
-    assert seen(images, draws) == [101] * 3
+    assert seen(images, randomized) == [101] * 3

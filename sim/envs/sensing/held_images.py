@@ -9,7 +9,7 @@ from gymnasium import spaces
 
 from dronevio.models.imu import Times
 from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.sensing.camera_observation import CameraObservation, Images
 from dronevio.sim.physics.vehicle_states import Mask
 
@@ -54,20 +54,20 @@ class HeldImages:
         """Count a step."""
         self._age = self._age + 1
 
-    def observe(self, T_world_imu: Array, t_ns: Times, draws: Draws) -> Images:
+    def observe(self, T_world_imu: Array, t_ns: Times, randomized: RandomizedParameters) -> Images:
         """Return the images (n, H, W, C) by name, rendering those that are due.
 
         Args:
             T_world_imu: (n, 4, 4) Poses of the IMUs.
             t_ns: (n,) Times since the starts of the episodes [ns].
-            draws: Mounting errors, light and textures of the episodes.
+            randomized: Parameters of the episodes: mounting errors, light and textures.
 
         Raises:
             GraphicsError: Off-screen OpenGL is not available.
         """
         due = np.flatnonzero(self._age >= self._period)
-        for seed in np.unique(draws.texture_seed[due]).tolist():
-            self._render(due[draws.texture_seed[due] == seed], T_world_imu, t_ns, draws, self._source(seed))
+        for seed in np.unique(randomized.texture_seed[due]).tolist():
+            self._render(due[randomized.texture_seed[due] == seed], T_world_imu, t_ns, randomized, self._source(seed))
         self._age[due] = 0
         return {name: image.copy() for name, image in self._images.items()}
 
@@ -91,11 +91,13 @@ class HeldImages:
             self._sources[texture_seed] = self._make_source(texture_seed)
         return self._sources[texture_seed]
 
-    def _render(self, rows: Rows, T_world_imu: Array, t_ns: Times, draws: Draws, source: CameraObservation) -> None:
+    def _render(
+        self, rows: Rows, T_world_imu: Array, t_ns: Times, randomized: RandomizedParameters, source: CameraObservation
+    ) -> None:
         """Render the images of some environments."""
-        error = pose_matrix(exp_so3(draws.camera_rotation_rad[rows]), draws.camera_translation_m[rows])
+        error = pose_matrix(exp_so3(randomized.camera_rotation_rad[rows]), randomized.camera_translation_m[rows])
         for name, image in source.observe(T_world_imu[rows] @ error, t_ns[rows]).items():
-            self._images[name][rows] = _lit(image, draws.light[rows])
+            self._images[name][rows] = _lit(image, randomized.light[rows])
 
 
 def _lit(images: npt.NDArray[Any], light: Array) -> npt.NDArray[Any]:
