@@ -150,7 +150,7 @@ class VisualSlam:
             correction = self._map.receive()
             if correction is None:
                 continue
-            self._loops = max(self._loops, correction.judged_loops)
+            self._loops = max(self._loops, correction.tested_loops)
             if correction.track == self._track:
                 self._T_map_odom, self._correction = correction.T_map_odom, correction
                 events += _events(correction)
