@@ -52,8 +52,8 @@ _PACKAGES = (*_RENDERING_PACKAGES, "python", "gtsam")
 
 def versions() -> str:
     """Return the versions of the packages and the hash of our code, on which rows depend besides settings."""
-    found = versions_here()
-    packages = [f"{name} {found[name]}" for name in _PACKAGES if name in found]
+    installed = versions_here()
+    packages = [f"{name} {installed[name]}" for name in _PACKAGES if name in installed]
     return ", ".join([*packages, f"code {code_hash(*_RENDERING_CODE, *_ESTIMATION_CODE)}"])
 
 
@@ -164,8 +164,8 @@ def scenario_flights(
     """
     from dronevio.sim.scenarios import SUITES, scenario_named
 
-    found = {name: scenario_named(name) for given in names for name in SUITES.get(given, (given,))}
-    unique = {flown.name: flown for flown in found.values()}
+    scenarios = {name: scenario_named(name) for given in names for name in SUITES.get(given, (given,))}
+    unique = {flown.name: flown for flown in scenarios.values()}
     if rig is not None:
         from dronevio.recording.recorder import rig_of
 

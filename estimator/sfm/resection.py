@@ -38,12 +38,12 @@ def resect(points: Array, bearings: Array, focal_px: float, config: ResectionCon
     parameters.loMethod = cv2.LOCAL_OPTIM_INNER_LO
     parameters.sampler = cv2.SAMPLING_UNIFORM
     try:
-        found, _, r, t, _ = cv2.solvePnPRansac(
+        is_solved, _, r, t, _ = cv2.solvePnPRansac(
             np.ascontiguousarray(points[is_central]), np.ascontiguousarray(xy), K, np.zeros(4), params=parameters
         )
     except cv2.error:
         return None
-    if not found or r is None:
+    if not is_solved or r is None:
         return None
     R_cam_world = exp_so3(np.asarray(r, np.float64).reshape(3))
     T = pose_matrix(R_cam_world.T, -R_cam_world.T @ np.asarray(t, np.float64).reshape(3))

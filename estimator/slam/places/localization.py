@@ -154,9 +154,9 @@ class Localizer:
         """
         c, rig = self._config, images.rig
         in_view = [self._in_view(patches, index, images, T_match_query) for index in range(len(rig.cameras))]
-        found = [self._aligned(patches, images.images[i], rig.cameras[i].model, *v) for i, v in enumerate(in_view)]
-        rows = np.concatenate([each[0] for each in found])
-        xy = np.concatenate([each[1] for each in found])
+        aligned = [self._aligned(patches, images.images[i], rig.cameras[i].model, *v) for i, v in enumerate(in_view)]
+        rows = np.concatenate([each[0] for each in aligned])
+        xy = np.concatenate([each[1] for each in aligned])
         min_count = max(c.min_inliers, c.min_view_ratio * sum(len(each[0]) for each in in_view))
         if len(rows) < min_count:
             return None
@@ -213,8 +213,8 @@ class Localizer:
         templates = type(templates)(templates.templates, templates.rows, warp)
         aligned = self._aligner.align(self._aligner.scale_space(image), templates, pixels)
         is_found = aligned.valid & (np.linalg.norm(aligned.pixels - pixels, axis=1) < self._config.max_shift_px)
-        rows, found = _select(is_found, rows, aligned.pixels)
-        return rows, camera.normalize(found)
+        rows, shifted = _select(is_found, rows, aligned.pixels)
+        return rows, camera.normalize(shifted)
 
     def _is_visible(self, in_old: Array, in_new: Array, T_new_old: Array) -> Mask:
         """Return which landmarks, given in both camera frames, are seen from similar directions."""

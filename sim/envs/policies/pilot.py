@@ -19,10 +19,10 @@ from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.state import NavState
 from dronevio.sim.envs.episodes.actions import action_mode
 from dronevio.sim.envs.episodes.endings import failures
-from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.policies.mission import PolicyMission
 from dronevio.sim.envs.sensing.estimator_loop import Perceived
-from dronevio.sim.envs.sensing.observations import Situation, limits_of, observation_named
+from dronevio.sim.envs.sensing.observations import ObservedState, limits_of, observation_named
 from dronevio.sim.envs.tasks import Objective, Transition
 from dronevio.sim.paths.path import Reference
 from dronevio.sim.physics.controller import SE3Controller
@@ -79,7 +79,7 @@ class PolicyPilot:
         self._imu: deque[Array] = deque([np.zeros(6)] * self._intervals, self._intervals)
         limits = limits_of(mission.area, self._objective(0.0), quadrotor, self._intervals)
         self._named = {name: observation_named(name, limits) for name in policy.names}
-        self._draws = Draws.nominal(1, mission.scenario.seed)
+        self._draws = RandomizedParameters.nominal(1, mission.scenario.seed)
         self._limits = replace(mission.bounds, box_m=np.array([[-np.inf] * 3, [np.inf] * 3]))
         self._calls, self._failed = 0, False
         self._action, self._before = np.zeros((1, 4)), VehicleStates.at(np.zeros((1, 3)))
@@ -153,7 +153,7 @@ class PolicyPilot:
             step = Transition(self._before, now, previous, previous, t_s, nothing)
             self._goals = task.advance(area, self._goals, step)
         bias = np.concatenate([state.gyro_bias_rad_s, state.accel_bias_m_s2])
-        situation = Situation(
+        observed = ObservedState(
             now,
             self._objective(self._t_s),
             np.array(self._imu)[None],
@@ -162,7 +162,7 @@ class PolicyPilot:
             previous,
             self._draws,
         )
-        observation = {name: one.observe(situation) for name, one in self._named.items()}
+        observation = {name: one.observe(observed) for name, one in self._named.items()}
         self._action = np.asarray(self._policy.action(observation), dtype=np.float64)
         self._before = now
 
