@@ -182,7 +182,7 @@ ESTIMATOR = (
     Mutant(
         "covariance-10-marginal",
         "Smoother: covariances of the window's variables are ten times as large.",
-        "estimator/backend/linalg.py",
+        "estimator/optimization/linalg.py",
         "return np.asarray(0.5 * (block + block.T))",
         "return np.asarray(5.0 * (block + block.T))",
         ("tests/estimator/backend/test_linalg.py",),
@@ -214,7 +214,7 @@ ESTIMATOR = (
     Mutant(
         "information-tenth-prior",
         "Smoother: marginalization leaves a tenth of the information.",
-        "estimator/backend/linalg.py",
+        "estimator/optimization/linalg.py",
         "np.asarray(0.5 * (reduced + reduced.T))",
         "np.asarray(0.05 * (reduced + reduced.T))",
         ("tests/estimator/backend/test_linalg.py",),

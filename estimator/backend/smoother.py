@@ -24,11 +24,11 @@ from gtsam.symbol_shorthand import B, V, X
 from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate, keyframe_estimate
 from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkDatabase, TriangulatedLandmarks
-from dronevio.estimator.backend.linalg import CholeskyFactor, SingularError
 from dronevio.estimator.backend.marginal_prior import STATE_DIM, KeyframeState
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.imu.covariance import covariance_from_gtsam, covariance_to_gtsam
 from dronevio.estimator.imu.noise import ImuVarianceComponents
+from dronevio.estimator.optimization.linalg import CholeskyFactor, SingularError
 from dronevio.estimator.types import GAUGE_SIGMA, NO_FEATURES, Calibration, Integers, Observations, common_rows
 from dronevio.models.state import NavState
 

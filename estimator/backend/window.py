@@ -18,7 +18,6 @@ from scipy.linalg import solve_triangular
 from dronevio.estimator.backend.drift import with_rotation_error
 from dronevio.estimator.backend.factors import KeyframeFactor, state_values, whitening_matrix
 from dronevio.estimator.backend.landmarks import CameraPoses, LandmarkDatabase
-from dronevio.estimator.backend.linalg import CholeskyFactor, schur_complement
 from dronevio.estimator.backend.linear_system import LinearSystem, linear_system, linearization_points
 from dronevio.estimator.backend.marginal_prior import POINT_DIM, POSE_DIM, STATE_DIM, KeyframeState, MarginalPrior
 from dronevio.estimator.backend.observations import NO_OBSERVATIONS, Integers, ObservationTable
@@ -31,6 +30,7 @@ from dronevio.estimator.backend.reprojection import (
 )
 from dronevio.estimator.backend.weighting import image_variance, robust_thresholds, variance_factor
 from dronevio.estimator.imu.noise import ImuVarianceComponents
+from dronevio.estimator.optimization.linalg import CholeskyFactor, schur_complement
 from dronevio.estimator.types import Calibration
 
 Array = npt.NDArray[np.float64]

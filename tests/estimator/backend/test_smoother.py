@@ -9,12 +9,12 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.config import SmootherConfig
-from dronevio.estimator.backend.linalg import SingularError
 from dronevio.estimator.backend.linear_system import LinearSystem
 from dronevio.estimator.backend.marginal_prior import MarginalPrior
 from dronevio.estimator.backend.smoother import KeyframeSmoother
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.initialization.static import InitialSigmas
+from dronevio.estimator.optimization.linalg import SingularError
 from dronevio.estimator.types import Calibration
 from dronevio.models.rotation import exp_so3, log_so3
 from dronevio.models.state import NavState, Trajectory

@@ -8,11 +8,11 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkDatabase
-from dronevio.estimator.backend.linalg import CholeskyFactor
 from dronevio.estimator.backend.linear_system import LinearSystem
 from dronevio.estimator.backend.marginal_prior import KeyframeState
 from dronevio.estimator.backend.observations import CORRELATED_KEYFRAMES
 from dronevio.estimator.backend.window import Window
+from dronevio.estimator.optimization.linalg import CholeskyFactor
 from dronevio.estimator.types import Observations
 
 Array = npt.NDArray[np.float64]
