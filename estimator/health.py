@@ -25,7 +25,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
-from dronevio.estimator.innovation import Innovation, PredictionUncertainty, innovation, median
+from dronevio.estimator.innovation import Innovation, PredictionUncertainty, innovation
+from dronevio.estimator.optimization.linear_fit import median
 from dronevio.estimator.trust import Trust, TrustLimits
 from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.imu import ImuModel

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dronevio.estimator.innovation import median
+from dronevio.estimator.optimization.linear_fit import median
 
 MIN_FRAMES, MIN_SPAN_S = 3, 0.1
 """Smallest number of frames of a window that has begun anew, as at an initialization, and shortest time between the

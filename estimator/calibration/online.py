@@ -23,6 +23,7 @@ from dronevio.estimator.calibration.adjustment import CalibrationProblem
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrected_state import propagated_state
 from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
+from dronevio.estimator.calibration.objective import CalibrationObjective
 from dronevio.estimator.calibration.significance import significant_length
 from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
 from dronevio.estimator.calibration.window_collector import CalibrationWindow, WindowCollector
@@ -256,7 +257,7 @@ class OnlineCalibration:
         if window.begins_stationary:
             unknown[GRAVITY], initial[GRAVITY] = False, self._applied[GRAVITY]
             config = replace(config, pixel_sigma=config.stationary_pixel_sigma)
-        return CalibrationProblem(
+        objective = CalibrationObjective.of(
             window.keyframes,
             self._given.Ts_imu_cam,
             float(self._given.focal_px[0]),
@@ -268,6 +269,7 @@ class OnlineCalibration:
             initial=initial,
             begins_stationary=window.begins_stationary,
         )
+        return CalibrationProblem(objective, config, window.keyframes[-1].state.t_ns)
 
     def _conclude(self, problem: CalibrationProblem) -> bool:
         """Take over the result of a window, if it has one, and return whether the calibration in use has changed.

@@ -140,6 +140,22 @@ def test_noise_agrees_with_monte_carlo_runs(interval: Interval, start: State, rn
     np.testing.assert_allclose(sigmas[9:], random_walk)
 
 
+def test_a_gyro_bias_tilts_gravity(rng: np.random.Generator) -> None:
+    """Level for 5 s with a bias of 3e-3 rad/s on each axis: the velocity errs by .52 m/s, by Monte Carlo runs."""
+    steps, sigma = 1000, 3e-3
+    level = Interval(np.zeros((steps, 3)), np.tile([0.0, 0.0, GRAVITY_M_S2], (steps, 1)))
+    start = np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
+    exact, biases = level.integrated(start), sigma * rng.normal(size=(400, 3))
+    errors = [local_coordinates(exact, level.integrated((*start[:3], bias, start[4])))[:9] for bias in biases]
+    P = np.zeros((15, 15))
+    P[range(9, 12), range(9, 12)] = sigma**2
+    found = level.propagated(P, start, NOISELESS)[:9, :9]
+    assert np.sqrt(np.trace(found[6:9, 6:9])) == pytest.approx(0.52, abs=0.005)
+    expected = np.mean([np.outer(e, e) for e in errors], axis=0)
+    scale = np.sqrt(np.maximum(np.diag(found), 1e-8))
+    np.testing.assert_allclose(found / np.outer(scale, scale), expected / np.outer(scale, scale), atol=0.15)
+
+
 def test_covariances_stay_positive_and_grow(interval: Interval, rng: np.random.Generator) -> None:
     P, zero = random_covariance(rng) * 1e-3, np.zeros(3)
     start = exp_so3(rng.normal(size=3)), zero, zero, zero, zero
