@@ -60,14 +60,16 @@ def levenberg_marquardt(
     """
     equations, damping, rejected = objective.linearize(x), INITIAL_DAMPING, 0
     for step in range(1, iterations + 1):
+        # A damped step, and the costs before and after
         damped = equations.H + damping * np.diag(np.diag(equations.H))
-        candidate = equations.retract(factorize(damped).solve(equations.b))
+        delta = factorize(damped).solve(equations.b)
+        candidate = equations.retract(delta)
         before, after = (objective.cost(each, equations.scales) for each in (x, candidate))
         if after < before:
-            x, damping = candidate, damping / DAMPING_FACTOR
+            x, damping, decrease = candidate, damping / DAMPING_FACTOR, before - after
             equations = objective.linearize(x)
-            if before - after < MIN_DECREASE * before:
-                return Minimum(x, equations, step, rejected, converged=True)
-        else:
-            damping, rejected = damping * DAMPING_FACTOR, rejected + 1
+        else:  # of the quadratic model: where it is small, shorter steps do not help
+            damping, rejected, decrease = damping * DAMPING_FACTOR, rejected + 1, 0.5 * float(equations.b @ delta)
+        if decrease <= MIN_DECREASE * before:
+            return Minimum(x, equations, step, rejected, converged=True)
     return Minimum(x, equations, iterations, rejected, converged=False)
