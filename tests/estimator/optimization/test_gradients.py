@@ -93,12 +93,12 @@ def window_objective() -> tuple[WindowObjective, Any]:
     made._factors.append(KeyframeFactor.of(imu_factor(0.3)))
     off = made.states[2].pose.compose(gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.02, 0.0, -0.01])), np.full(3, 0.17)))
     made.states[2] = replace(made.states[2], pose=off)
-    made.states[0] = replace(made.states[0], velocity=np.full(3, 0.05))
     made.landmarks.set_points(made.landmarks.points + 0.05 * np.random.default_rng(3).normal(size=(LANDMARKS, 3)))
     objective = made.objective
     xy = objective.observations.xy.copy()
     xy[::11] += 0.1
-    return replace(objective, observations=replace(objective.observations, xy=xy)), made.estimate
+    observations, prior = replace(objective.observations, xy=xy), replace(objective.prior, b=np.full(15, 50.0))
+    return replace(objective, observations=observations, prior=prior), made.estimate
 
 
 def test_of_a_window_before_elimination() -> None:
