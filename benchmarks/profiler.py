@@ -35,7 +35,7 @@ STAGES: tuple[tuple[str, str, str], ...] = (
     ("linearization of observations", "backend/reprojection.py", ""),
     ("linear system and marginalization", "backend/linear_system.py", ""),
     ("linear system and marginalization", "backend/marginal_prior.py", ""),
-    ("linear system and marginalization", "backend/linalg.py", ""),
+    ("linear system and marginalization", "optimization/linalg.py", ""),
     ("landmarks and triangulation", "backend/landmarks.py", ""),
     ("landmarks and triangulation", "backend/observations.py", ""),
     ("landmarks and triangulation", "backend/triangulation.py", ""),

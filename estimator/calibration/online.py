@@ -24,6 +24,7 @@ from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrected_state import propagated_state
 from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
 from dronevio.estimator.calibration.estimate import ParameterEstimate, covariance_inflation, inflation_share
+from dronevio.estimator.calibration.objective import CalibrationObjective
 from dronevio.estimator.calibration.parameters import ParameterTable
 from dronevio.estimator.calibration.significance import SignificanceTest
 from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
@@ -72,7 +73,8 @@ class CalibrationPrior:
             config = replace(config, pixel_sigma=config.stationary_pixel_sigma)
         measured = window.keyframes, g.Ts_imu_cam, float(g.focal_px[0]), config
         prior = estimate.mean, _inverse(estimate.covariance), is_unknown, self.gravity_m_s2
-        return CalibrationProblem(*measured, *prior, initial=initial, begins_stationary=at_rest)
+        objective = CalibrationObjective.of(*measured, *prior, initial=initial, begins_stationary=at_rest)
+        return CalibrationProblem(objective, config, window.keyframes[-1].state.t_ns)
 
 
 @dataclass(frozen=True)

@@ -414,10 +414,10 @@ print(f"median reprojection error {model.fx * np.median(result.rms):.1f} px")
 # which leaves 15 unknowns for each frame. The same operation marginalizes old
 # frames: the inverse of the Schur complement is the covariance of what remains.
 # The next cell verifies this property of
-# `dronevio.estimator.backend.linalg.schur_complement` with random numbers.
+# `dronevio.estimator.optimization.linalg.schur_complement` with random numbers.
 
 # %%
-from dronevio.estimator.backend.linalg import schur_complement
+from dronevio.estimator.optimization.linalg import schur_complement
 
 A = rng.standard_normal((30, 9))
 H, b = A.T @ A, rng.standard_normal(9)

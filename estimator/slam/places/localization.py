@@ -30,7 +30,7 @@ Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 BORDER_PX = 3  # pixels around a patch that its gradients and its blur need
-MIN_DEPTH_M = 0.2  # smallest depth of a landmark that is projected
+MIN_LOCALIZED_DEPTH_M = 0.2  # smallest depth of a landmark that is projected
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,7 @@ class Localizer:
         """Return which landmarks, given in both camera frames, are seen from similar directions."""
         away = in_old + T_new_old[:3, :3].T @ T_new_old[:3, 3]  # from the new camera, in the axes of the old one
         cosine = np.sum(in_old * away, axis=1) / (np.linalg.norm(in_old, axis=1) * np.linalg.norm(away, axis=1))
-        is_ahead = (in_new[:, 2] > MIN_DEPTH_M) & (in_old[:, 2] > MIN_DEPTH_M)
+        is_ahead = (in_new[:, 2] > MIN_LOCALIZED_DEPTH_M) & (in_old[:, 2] > MIN_LOCALIZED_DEPTH_M)
         return np.asarray(is_ahead & (cosine > np.cos(np.radians(self._config.max_view_deg))))
 
 
