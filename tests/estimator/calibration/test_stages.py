@@ -25,7 +25,7 @@ PERIOD_S = 0.3
 
 @dataclass
 class Adjustments:
-    """Stands in for `CalibrationProblem`, and records the windows that it is given."""
+    """Stands in for the adjustments, and records the windows that it is given."""
 
     mean: Array
     """Corrections by each adjustment."""
@@ -38,7 +38,8 @@ class Adjustments:
     information: list[Array] = field(default_factory=list)
     """Information matrices of their priors."""
 
-    def __call__(self, keyframes: tuple[WindowKeyframe, ...], *arguments: object, **_: object) -> "Problem":
+    def of(self, keyframes: tuple[WindowKeyframe, ...], *arguments: object, **_: object) -> "Problem":
+        """Return an adjustment in place of its objective; see `CalibrationObjective.of`."""
         information = arguments[4]
         assert isinstance(information, np.ndarray)
         self.windows.append(keyframes)
@@ -78,7 +79,8 @@ def fed(
     monkeypatch: pytest.MonkeyPatch, adjustments: Adjustments, stationary: Iterable[bool], rig: str = "euroc"
 ) -> tuple[OnlineCalibration, list[float]]:
     """Return a calibration after keyframes, and the times at which it was corrected [s]."""
-    monkeypatch.setattr(online, "CalibrationProblem", adjustments)
+    monkeypatch.setattr(online, "CalibrationObjective", adjustments)
+    monkeypatch.setattr(online, "CalibrationProblem", lambda adjustment, *_: adjustment)
     calibration, corrected_s = OnlineCalibration(rig_named(rig)), list[float]()
     params = PreintegrationParams.of(rig_named(rig).imu, PreintegrationConfig())
     pim = Preintegration(params, gtsam.imuBias.ConstantBias()).measurements
