@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import tyro
-from markdown_tables import table
+from measuring import table
 from rendered_conditions import render
 
 from dronevio.estimator.odometry import VisualInertialOdometry

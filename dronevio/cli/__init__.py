@@ -43,6 +43,7 @@ COMMANDS = CommandGroup(
         "gate": Subcommand("dronevio.cli.commands.gate", "fail if a benchmark is worse than an earlier one"),
         "sfm": Subcommand("dronevio.cli.commands.sfm", "reconstruct cameras and points from images alone"),
         "dense": Subcommand("dronevio.cli.commands.dense", "compute the surfaces of a scene from the result of sfm"),
+        "settings": Subcommand("dronevio.cli.commands.settings", "list all settings of a command with their ranges"),
         "policy": Subcommand("dronevio.cli.commands.policy", "evaluate, describe and export trained policies"),
         "refly": Subcommand(
             "dronevio.cli.commands.refly", "render images along the recorded trajectory of a real drone"

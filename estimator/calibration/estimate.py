@@ -30,7 +30,7 @@ class ParameterEstimate:
     mean: Array
     """(D,) Estimated corrections, whether they are applied or not."""
     covariance: Array
-    """(D, D) Their covariance."""
+    """(D, D) Covariance of the estimated corrections."""
     newest_covariance: Array
     """(D, D) That by the last adjustment, also of a part of a window, or by the prior."""
     applied: Array

@@ -24,6 +24,7 @@ from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrected_state import propagated_state
 from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
 from dronevio.estimator.calibration.estimate import ParameterEstimate, covariance_inflation, inflation_share
+from dronevio.estimator.calibration.objective import CalibrationObjective
 from dronevio.estimator.calibration.parameters import ParameterTable
 from dronevio.estimator.calibration.significance import SignificanceTest
 from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
@@ -55,7 +56,7 @@ class CalibrationPrior:
     parameters: ParameterTable
     """The parameters of its corrections."""
     config: CalibrationConfig
-    """Settings."""
+    """Settings of the online calibration."""
 
     def problem(
         self, window: CalibrationWindow, estimate: ParameterEstimate, config: AdjustmentConfig
@@ -72,7 +73,8 @@ class CalibrationPrior:
             config = replace(config, pixel_sigma=config.stationary_pixel_sigma)
         measured = window.keyframes, g.Ts_imu_cam, float(g.focal_px[0]), config
         prior = estimate.mean, _inverse(estimate.covariance), is_unknown, self.gravity_m_s2
-        return CalibrationProblem(*measured, *prior, initial=initial, begins_stationary=at_rest)
+        objective = CalibrationObjective.of(*measured, *prior, initial=initial, begins_stationary=at_rest)
+        return CalibrationProblem(objective, config, window.keyframes[-1].state.t_ns)
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,7 @@ class Adjusting:
     """A window is adjusted, one step at a time."""
 
     window: CalibrationWindow
-    """The window."""
+    """The window under adjustment."""
     problem: CalibrationProblem
     """Its adjustment, which changes with each step."""
 
@@ -95,7 +97,7 @@ class Collected:
     """A window waits for its adjustment."""
 
     window: CalibrationWindow
-    """The window."""
+    """The window that waits."""
     earlier: Idle | Adjusting
     """What goes on if this window has too few keyframes or landmarks."""
 

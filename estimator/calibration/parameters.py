@@ -22,7 +22,7 @@ class ParameterGroup:
     rows: Integers
     """Their rows in the vector of all parameters."""
     config: CalibratedPart
-    """Their settings."""
+    """Settings of these parameters."""
     is_rotation: bool = False
     """Whether they are the rotations of all cameras."""
 

@@ -17,7 +17,7 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.initialization.closed_form import MIN_DEPTH_M, NoiseModel, solve_closed_form
+from dronevio.estimator.initialization.closed_form import MIN_START_DEPTH_M, NoiseModel, solve_closed_form
 from dronevio.estimator.initialization.gauge import BiasPrior
 from dronevio.estimator.initialization.gyro_bias import EpipolarSolution, epipolar_gyro_bias
 from dronevio.estimator.initialization.not_observable import (
@@ -232,7 +232,7 @@ def _reason_against(
         )
     curvature_m = _deviation_from_line(motion.dp + 0.5 * state.gravity * t_s**2, t_s)
     curvature_of_bias_m = _deviation_from_line(0.5 * accel_bias_sigma_m_s2 * t_s**2, t_s)
-    behind = float(np.mean(refined.depth_m[inliers] <= MIN_DEPTH_M))
+    behind = float(np.mean(refined.depth_m[inliers] <= MIN_START_DEPTH_M))
     sigma_m_s = float(np.sqrt(np.linalg.eigvalsh(refined.velocity_covariance)[-1]))
     speed_m_s = float(np.linalg.norm(state.velocity))
     allowed_m_s = max(c.max_velocity_sigma_m_s, c.max_velocity_sigma * speed_m_s)

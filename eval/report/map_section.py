@@ -7,10 +7,11 @@ from markupsafe import Markup
 
 from dronevio.eval.map_results import MapResults, online_correction
 from dronevio.eval.metrics import IDENTITY, ScoredTrajectory
+from dronevio.eval.metrics.metric import DASH
 from dronevio.eval.report import map_plots
 from dronevio.eval.report.figures import svg_plot
 from dronevio.eval.report.model import RunResults
-from dronevio.eval.report.tables import DASH, Cell, Table
+from dronevio.eval.report.tables import Cell, Table
 from dronevio.eval.report.templating import Tile, number
 
 _GRAPH_HEIGHT_IN, _PLOT_HEIGHT_IN = 3.7, 2.7

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dronevio.eval.metrics import IDENTITY, Alignment, AlignmentMode, ScoredTrajectory, score_trajectory
+from dronevio.eval.metrics import IDENTITY, Alignment, AlignmentMode, ScoredTrajectory, ScoreOptions, score_trajectory
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import Times
@@ -49,7 +49,7 @@ def align_estimates(
     aligned = []
     for name, trajectory in zip(names, trajectories, strict=True):
         try:
-            scored = score_trajectory(truth or trajectories[0], trajectory, frame_times_ns, alignment)
+            scored = score_trajectory(truth or trajectories[0], trajectory, frame_times_ns, ScoreOptions(alignment))
         except EvaluationError as error:
             raise EvaluationError(f"{name}: {error}") from error
         aligned.append(NamedEstimate(name, trajectory, scored.alignment, None if truth is None else scored))

@@ -145,9 +145,9 @@ def decode_deep_grey(path: Path, data: bytes, width: int, height: int, where: st
     header = header_of(data)  # before memory for the pixels is allocated
     if header is None:
         raise DamagedImageError(path, f"{where}data that cannot be decoded", expected)
-    found = header.width, header.height
-    if found not in ((width, height), (height, width)):  # EXIF data may state a rotation
-        raise InputError(path, f"{where}an image of {found[0]} × {found[1]} px", expected)
+    size = header.width, header.height
+    if size not in ((width, height), (height, width)):  # EXIF data may state a rotation
+        raise InputError(path, f"{where}an image of {size[0]} × {size[1]} px", expected)
     check_decoded_size(path, header, len(data), where)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)

@@ -14,13 +14,13 @@ from dronevio.sim.envs.episodes.actions import action_mode, checked_actions, mer
 from dronevio.sim.envs.episodes.endings import GROUND_M, REASONS, Bounds, failures
 from dronevio.sim.envs.episodes.latency import DelayedActions
 from dronevio.sim.envs.episodes.options import overridden
-from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.sensing.arrangement import Arrangement
 from dronevio.sim.envs.sensing.estimation import EstimatorFactory
 from dronevio.sim.envs.sensing.estimator_loop import EstimatorLoop
 from dronevio.sim.envs.sensing.held_images import HeldImages, ImageRenderer
 from dronevio.sim.envs.sensing.imu_window import ImuWindow
-from dronevio.sim.envs.sensing.observations import Situation, limits_of, observation_named
+from dronevio.sim.envs.sensing.observations import ObservedState, limits_of, observation_named
 from dronevio.sim.envs.settings import EnvironmentSettings
 from dronevio.sim.envs.tasks import Objective, Transition
 from dronevio.sim.envs.tasks.task import distance_m
@@ -50,7 +50,7 @@ class StepResult:
 class EpisodeState:
     """State of the episodes of n environments, beside those of physics, IMUs and random numbers."""
 
-    draws: Draws
+    draws: RandomizedParameters
     """Values that were drawn for the episodes."""
     goals: Any
     """Goals and progress of the task."""
@@ -115,7 +115,7 @@ class DroneCore:
         self._loop: EstimatorLoop | None = None
         states, goals = self._begin(count)
         self._episode = EpisodeState(
-            draws=Draws.nominal(count, settings.world_seed),
+            draws=RandomizedParameters.nominal(count, settings.world_seed),
             goals=goals,
             states=states,
             begun_ns=np.zeros(count, dtype=np.int64),
@@ -238,7 +238,7 @@ class DroneCore:
             T_world_imu = self.T_world_vehicle @ self.settings.rig.T_vehicle_imu
             now = replace(now, images=self._renderer.renewed(now.images, T_world_imu, self.plant.t_ns, now.draws))
             self._episode = now
-        true = Situation(
+        true = ObservedState(
             now.states,
             self._objective(),
             self._imu.samples,

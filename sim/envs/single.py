@@ -50,7 +50,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
     | ``reward_terms`` | terms of the reward by name; not after a reset |
     | ``distance_m`` | distance from the current goal [m] |
     | ``t_ns`` | time since the start of the episode [ns] |
-    | ``randomization`` | drawn values by name, see `Draws`; only after a reset |
+    | ``randomization`` | drawn values by name, see `RandomizedParameters`; only after a reset |
 
     With an estimator, there are also the entries that `dronevio.sim.envs.sensing.estimation` describes.
 

@@ -51,11 +51,12 @@ def test_tables_have_scores_with_units(flight: Path, capsys: pytest.CaptureFixtu
     assert main(["evaluate", str(flight), str(flight.parent / "estimate.tum")]) == 0
     out = capsys.readouterr().out
     for text in (
-        "ATE, position (yaw aligned)",
-        "RPE, orientation, over 1 s",
-        "scale error",
-        "5.00",
-        "coverage",
+        "alignment yaw",
+        "ATE, position",
+        "RPE over 1 s, orientation",
+        "Scale error",
+        "+5.00",
+        "Coverage",
         "81 of 81",
     ):
         assert text in out

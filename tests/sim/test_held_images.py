@@ -8,7 +8,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from dronevio.models.rotation import exp_so3
-from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.sensing.held_images import ImageRenderer
 
 Array = npt.NDArray[np.float64]
@@ -50,7 +50,7 @@ class Shown:
         self.sources.append(CountingSource(seed))
         return self.sources[-1]
 
-    def seen(self, draws: Draws) -> list[int]:
+    def seen(self, draws: RandomizedParameters) -> list[int]:
         """Return the grey levels of the images of three environments."""
         poses = np.tile(np.eye(4), (3, 1, 1))
         self.images = self.renderer.renewed(self.images, poses, np.zeros(3, np.int64), draws)
@@ -62,7 +62,7 @@ class Shown:
 
 
 def test_images_are_repeated_until_the_next_is_due() -> None:
-    shown, draws = Shown(2), Draws.nominal(3, 0)
+    shown, draws = Shown(2), RandomizedParameters.nominal(3, 0)
     assert shown.seen(draws) == shown.seen(draws) == [101] * 3
     shown.step()
     shown.images = shown.images.demanded(np.array([False, True, False]))
@@ -77,7 +77,7 @@ def test_textures_light_and_mounting_are_those_drawn() -> None:
     rotation, translation = np.zeros((3, 3)), np.zeros((3, 3))
     rotation[1], translation[1] = [0.1, 0.0, 0.0], [0.0, 0.02, 0.0]
     draws = replace(
-        Draws.nominal(3, 0),
+        RandomizedParameters.nominal(3, 0),
         light=np.array([1.0, 2.0, 9.0]),
         texture_seed=np.array([0, 1, 0]),
         camera_rotation_rad=rotation,
@@ -94,7 +94,7 @@ def test_textures_light_and_mounting_are_those_drawn() -> None:
 
 
 def test_later_images_do_not_change_earlier_ones() -> None:
-    shown, draws = Shown(2), Draws.nominal(3, 0)
+    shown, draws = Shown(2), RandomizedParameters.nominal(3, 0)
     shown.seen(draws)
     shown.step()
     saved = shown.images

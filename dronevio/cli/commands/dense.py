@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from dronevio.cli.options import Output, OutputOptions
+from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
+from dronevio.cli.settings.option_tables import DENSE, options_from
 from dronevio.cli.terminal import parse, print_json, print_values, progress_bars
 from dronevio.estimator.dense.config import DenseConfig
 from dronevio.models.ranges import Range, Settings
@@ -51,8 +53,12 @@ class DenseCommand(Settings):
     """Folder to make; SCENE/dense by default."""
     output: Output = field(default_factory=OutputOptions)
     """How the result is written and printed."""
-    dense: Annotated[DenseConfig, tyro.conf.arg(name="")] = field(default_factory=DenseConfig)
+    dense: Annotated[DenseConfig, tyro.conf.arg(name="")] = field(
+        default_factory=DenseConfig, metadata=options_from(DENSE)
+    )
     """Settings of multi-view stereo."""
+    changes: SettingsInput = field(default_factory=SettingsOptions)
+    """Changes of settings."""
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -10,6 +10,8 @@ import tyro
 
 from dronevio.cli.imported_settings import ImportedSettings
 from dronevio.cli.options import Printing, PrintOptions, RecordingInput, RecordingOptions
+from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
+from dronevio.cli.settings.option_tables import ESTIMATOR, MAP, options_from
 from dronevio.cli.terminal import (
     innovation_rows,
     parse,
@@ -106,10 +108,16 @@ class EstimateCommand:
     """How the recording is read."""
     printing: Printing = field(default_factory=PrintOptions)
     """How results are printed."""
-    estimator: "VioConfig" = field(default_factory=ImportedSettings("dronevio.estimator.config", "VioConfig"))
+    estimator: "VioConfig" = field(
+        default_factory=ImportedSettings("dronevio.estimator.config", "VioConfig"), metadata=options_from(ESTIMATOR)
+    )
     """Settings of the estimator."""
-    map: "SlamConfig" = field(default_factory=ImportedSettings("dronevio.estimator.slam.config", "SlamConfig"))
+    map: "SlamConfig" = field(
+        default_factory=ImportedSettings("dronevio.estimator.slam.config", "SlamConfig"), metadata=options_from(MAP)
+    )
     """Settings of the map, with --slam."""
+    changes: SettingsInput = field(default_factory=SettingsOptions)
+    """Changes of settings."""
 
 
 def map_rows(slam: "VisualSlam | None") -> tuple[tuple[str, str, str], ...]:

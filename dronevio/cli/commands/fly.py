@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from dronevio.cli.flight_options import FlightOptions, ScenarioInput, parse_flight
 from dronevio.cli.options import Output, OutputOptions
+from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
 from dronevio.cli.terminal import print_json, print_values, progress_bars
 
 if TYPE_CHECKING:
@@ -37,6 +38,8 @@ class FlyCommand:
     """Folder to make; recordings/SCENARIO-SEED by default."""
     output: Output = field(default_factory=OutputOptions)
     """How the result is written and printed."""
+    changes: SettingsInput = field(default_factory=SettingsOptions)
+    """Changes of settings."""
 
 
 def main(arguments: Sequence[str]) -> int:

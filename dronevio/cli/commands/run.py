@@ -12,6 +12,8 @@ from dronevio.cli.flight_options import FlightOptions, ScenarioInput, parse_flig
 from dronevio.cli.imported_settings import ImportedSettings
 from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.progress import Bars
+from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
+from dronevio.cli.settings.option_tables import ESTIMATOR, MAP, options_from
 from dronevio.cli.terminal import (
     innovation_rows,
     print_defects,
@@ -82,12 +84,18 @@ class RunCommand:
     otherwise in a browser of this machine. The viewer ends with the run."""
     output: Output = field(default_factory=OutputOptions)
     """How the result is written and printed."""
-    estimator: "VioConfig" = field(default_factory=ImportedSettings("dronevio.estimator.config", "VioConfig"))
+    estimator: "VioConfig" = field(
+        default_factory=ImportedSettings("dronevio.estimator.config", "VioConfig"), metadata=options_from(ESTIMATOR)
+    )
     """Settings of the estimator."""
-    map: "SlamConfig" = field(default_factory=ImportedSettings("dronevio.estimator.slam.config", "SlamConfig"))
+    map: "SlamConfig" = field(
+        default_factory=ImportedSettings("dronevio.estimator.slam.config", "SlamConfig"), metadata=options_from(MAP)
+    )
     """Settings of the map, with --slam."""
     loop: LoopSettings = field(default_factory=LoopSettings)
     """Latencies of the control loop with --fly-on estimate."""
+    changes: SettingsInput = field(default_factory=SettingsOptions)
+    """Changes of settings."""
 
 
 def main(arguments: Sequence[str]) -> int:

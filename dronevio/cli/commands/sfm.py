@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from dronevio.cli.options import Output, OutputOptions
+from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
+from dronevio.cli.settings.option_tables import SFM, options_from
 from dronevio.cli.terminal import parse, print_json, print_values, progress_bars
 from dronevio.estimator.sfm.config import SfmConfig
 from dronevio.models.ranges import Range, Settings
@@ -84,8 +86,10 @@ class SfmCommand(Settings):
     """Standard deviation of the rotations of --poses [deg]; 0 for exact poses, which stay fixed."""
     output: Output = field(default_factory=OutputOptions)
     """How the result is written and printed."""
-    sfm: Annotated[SfmConfig, tyro.conf.arg(name="")] = field(default_factory=SfmConfig)
+    sfm: Annotated[SfmConfig, tyro.conf.arg(name="")] = field(default_factory=SfmConfig, metadata=options_from(SFM))
     """Settings of the reconstruction."""
+    changes: SettingsInput = field(default_factory=SettingsOptions)
+    """Changes of settings."""
 
 
 def main(arguments: Sequence[str]) -> int:

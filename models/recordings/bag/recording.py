@@ -167,8 +167,8 @@ class BagRecording:
                 defects=defects,
             )
 
-        found = usable_segments(len(split.steps) + 1, segment)
-        first, *later = [replace(each, defects=(*left_out, *each.defects)) for each, left_out in found]
+        segments = usable_segments(len(split.steps) + 1, segment)
+        first, *later = [replace(each, defects=(*left_out, *each.defects)) for each, left_out in segments]
         return replace(first, later=tuple(later))
 
     def frame(self, index: int) -> CameraFrame:

@@ -19,10 +19,10 @@ from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.state import NavState
 from dronevio.sim.envs.episodes.actions import action_mode
 from dronevio.sim.envs.episodes.endings import failures
-from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.policies.mission import PolicyMission
 from dronevio.sim.envs.sensing.estimator_loop import Perceived
-from dronevio.sim.envs.sensing.observations import Situation, limits_of, observation_named
+from dronevio.sim.envs.sensing.observations import ObservedState, limits_of, observation_named
 from dronevio.sim.envs.tasks import Objective, Transition
 from dronevio.sim.paths.path import Reference
 from dronevio.sim.physics.controller import SE3Controller
@@ -78,7 +78,7 @@ class PolicyPilot:
         self._flown = _Flown(mission.goals)
         limits = limits_of(mission.area, self._objective(mission.goals), quadrotor, self._intervals)
         self._named = {name: observation_named(name, limits) for name in policy.names}
-        self._draws = Draws.nominal(1, mission.scenario.seed)
+        self._draws = RandomizedParameters.nominal(1, mission.scenario.seed)
         self._limits = replace(mission.bounds, box_m=np.array([[-np.inf] * 3, [np.inf] * 3]))
 
     @property
@@ -146,7 +146,7 @@ class PolicyPilot:
         if flown.calls:
             step = Transition(flown.before, now, flown.action, flown.action, np.array([self._t_s]), nothing)
             goals = mission.task.advance(mission.area, goals, step)
-        situation = Situation(
+        observed = ObservedState(
             now,
             self._objective(goals),
             np.array(self._imu)[None],
@@ -155,7 +155,7 @@ class PolicyPilot:
             flown.action,
             self._draws,
         )
-        observation = {name: one.observe(situation) for name, one in self._named.items()}
+        observation = {name: one.observe(observed) for name, one in self._named.items()}
         action = np.asarray(mission.policy.action(observation), dtype=np.float64)
         failed = bool(failures(now, nothing, nothing, nothing, self._limits)[0])
         return replace(flown, goals=goals, action=action, before=now, failed=failed)

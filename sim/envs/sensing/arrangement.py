@@ -8,7 +8,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from dronevio.sim.envs.sensing.camera_observation import Images
-from dronevio.sim.envs.sensing.observations import Observation, Situation
+from dronevio.sim.envs.sensing.observations import Observation, ObservedState
 
 POLICY, CRITIC = "policy", "critic"
 """Names of the two entries of an observation with privileged observations."""
@@ -43,7 +43,7 @@ class Arrangement:
         if privileged:
             self.space = spaces.Dict({POLICY: self.space, CRITIC: self._space(boxes, privileged)})
 
-    def observe(self, seen: Situation, true: Situation, images: Images) -> Any:
+    def observe(self, seen: ObservedState, true: ObservedState, images: Images) -> Any:
         """Return the observations of n environments.
 
         Args:
@@ -62,7 +62,7 @@ class Arrangement:
         high = np.concatenate([boxes[name].high.ravel() for name in names])
         return spaces.Box(low, high, low.shape, np.float32)
 
-    def _composed(self, situation: Situation, images: Images, names: tuple[str, ...]) -> Any:
+    def _composed(self, situation: ObservedState, images: Images, names: tuple[str, ...]) -> Any:
         """Return the values of some observations."""
         values = {
             name: self._named[name].observe(situation) if name in self._named else images[name].copy() for name in names

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from dronevio.models.imu import Times
 from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.sensing.camera_observation import CameraObservation, Images
 from dronevio.sim.physics.vehicle_states import Mask
 
@@ -56,14 +56,14 @@ class ImageRenderer:
         black = {name: np.zeros((count, *space.shape), space.dtype) for name, space in self.spaces.items()}
         return HeldImages(np.zeros(count, dtype=np.int64), black)
 
-    def renewed(self, held: HeldImages, T_world_imu: Array, t_ns: Times, draws: Draws) -> HeldImages:
+    def renewed(self, held: HeldImages, T_world_imu: Array, t_ns: Times, draws: RandomizedParameters) -> HeldImages:
         """Return the images after those that are due have been rendered.
 
         Args:
             held: Images of n environments.
             T_world_imu: (n, 4, 4) Poses of the IMUs.
             t_ns: (n,) Times since the starts of the episodes [ns].
-            draws: Mounting errors, light and textures of the episodes.
+            draws: Parameters of the episodes: mounting errors, light and textures.
 
         Raises:
             GraphicsError: Off-screen OpenGL is not available.
@@ -91,7 +91,9 @@ class ImageRenderer:
             self._sources[texture_seed] = self._make_source(texture_seed)
         return self._sources[texture_seed]
 
-    def _rendered(self, rows: Rows, T_world_imu: Array, t_ns: Times, draws: Draws, source: CameraObservation) -> Images:
+    def _rendered(
+        self, rows: Rows, T_world_imu: Array, t_ns: Times, draws: RandomizedParameters, source: CameraObservation
+    ) -> Images:
         """Return the images of some environments."""
         error = pose_matrix(exp_so3(draws.camera_rotation_rad[rows]), draws.camera_translation_m[rows])
         images = source.observe(T_world_imu[rows] @ error, t_ns[rows])

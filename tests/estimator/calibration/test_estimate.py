@@ -57,7 +57,7 @@ def test_the_result_of_a_part_of_a_window_is_not_kept() -> None:
     np.testing.assert_array_equal(window.covariance, window.newest_covariance)
 
 
-def test_a_parameter_follows_the_estimate_once_it_has_been_corrected() -> None:
+def test_a_corrected_parameter_follows_the_estimate() -> None:
     """Also by less than the smallest correction, where another parameter is corrected."""
     first = PRIOR.corrected(corrections(time_offset_s=0.004, x_rad=0.002), CERTAIN, PARAMETERS, TEST)
     assert first is not None
@@ -80,7 +80,7 @@ def test_a_first_correction_exceeds_three_standard_deviations(sigmas: float, is_
     assert PRIOR.corrected(corrections(time_offset_s=0.004), covariance, PARAMETERS, from_rest) is None
 
 
-def test_an_implausible_correction_is_not_forgotten() -> None:
+def test_an_implausible_correction_is_remembered() -> None:
     wrong = PRIOR.corrected(corrections(time_offset_s=0.051), CERTAIN, PARAMETERS, TEST)
     assert wrong is not None and not wrong.is_plausible
     later = wrong.corrected(corrections(time_offset_s=0.049), CERTAIN, PARAMETERS, TEST)

@@ -13,6 +13,7 @@ from dronevio.estimator.calibration.adjustment import AdjustmentResult, Calibrat
 from dronevio.estimator.calibration.config import CalibratedPart, CalibrationConfig
 from dronevio.estimator.calibration.corrections import COMMON_PARAMETERS, PARAMETERS_PER_CAMERA
 from dronevio.estimator.calibration.estimate import ParameterEstimate
+from dronevio.estimator.calibration.objective import CalibrationObjective
 from dronevio.estimator.calibration.online import OnlineCalibration
 from dronevio.estimator.calibration.parameters import ParameterTable
 from dronevio.estimator.calibration.significance import SignificanceTest
@@ -223,9 +224,10 @@ def test_the_state_given_corrections_is_that_of_their_problem(make_flight: MakeF
     estimated, prior = np.isin(np.arange(12), [0, 2, 3, 4]), np.diag(np.repeat([1e4, 2.5e3], [2, 10]))
 
     def adjusted(mean: Array, information: Array) -> AdjustmentResult:
-        problem = CalibrationProblem(
+        objective = CalibrationObjective.of(
             window, Ts, focal_px, config, mean, information, estimated, GRAVITY_M_S2, initial=np.zeros(12)
         )
+        problem = CalibrationProblem(objective, config, window[-1].state.t_ns)
         while not problem.is_done:
             problem.step()
         assert problem.result is not None

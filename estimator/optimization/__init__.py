@@ -1,0 +1,1 @@
+"""Robust nonlinear least squares on manifolds: one problem statement, two methods."""
