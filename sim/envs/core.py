@@ -127,7 +127,7 @@ class DroneCore:
         limits = limits_of(self.area, self._objective(), settings.vehicle, settings.samples)
         self.arrangement = Arrangement(
             {name: observation_named(name, limits) for name in settings.observed if name not in settings.images},
-            {} if self._renderer is None else self._renderer.spaces(),
+            {} if self._renderer is None else self._renderer.spaces,
             settings.observations,
             settings.privileged,
             settings.flat,

@@ -43,10 +43,8 @@ class _Steps:
 
     biases: BiasModel
     """Biases at a reset."""
-    response: Array
-    """(6, 6) Of scale errors, misalignments and g-sensitivity."""
-    has_response: bool
-    """Whether any of them is not zero."""
+    response: Array | None
+    """(6, 6) Of scale errors, misalignments and g-sensitivity; None without any."""
     noise: Array
     """(6,) Of the white noise of a sample."""
     walk: Array
@@ -65,8 +63,7 @@ class _Steps:
         decay = np.exp(-1.0 / (model.rate_hz * biases.times_s[:, None]))
         return cls(
             biases=biases,
-            response=response,
-            has_response=bool(response.any()),
+            response=response if response.any() else None,
             noise=noise_density(model) * np.sqrt(model.rate_hz),
             walk=biases.walk / np.sqrt(model.rate_hz),
             decay=decay,
@@ -117,7 +114,7 @@ class BatchImuErrors:
         k, rng, steps = len(rows), self._reset_rng, self._steps
         self._walked[rows] = steps.biases.turn_on * rng.standard_normal((k, 6))
         self._flicker[rows] = steps.biases.flicker * rng.standard_normal((k, len(steps.decay), 6))
-        if steps.has_response:
+        if steps.response is not None:
             self._response[rows] = np.eye(6) + steps.response * rng.standard_normal((k, 6, 6))
         if self._vibration is not None:
             self._vibration.renew(rows, rng)
@@ -172,7 +169,7 @@ class BatchImuErrors:
 
     def _measured(self, perfect: Array, rows: Rows | slice, bias: Array, white: Array) -> Array:
         """Return the measurements (k, 6) of the selected units, given biases and standard normal numbers (k, 6)."""
-        responding = np.matvec(self._response[rows], perfect) if self._steps.has_response else perfect
+        responding = perfect if self._steps.response is None else np.matvec(self._response[rows], perfect)
         value = responding + (bias + self._steps.noise * white)
         return np.concatenate(read_out(self._model, value[:, _GYRO], value[:, _ACCEL]), axis=1)
 

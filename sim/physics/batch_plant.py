@@ -83,11 +83,12 @@ class BatchPlant:
         self._ground_m = ground_m
         spec = physics_spec(self.quadrotor, rig, self._step_s, surroundings)
         self._simulation = BatchSimulation(spec, count, substeps, imu, nthread)
-        self._standing_m = float(standing_pose(self.quadrotor, rig, self._step_s)[2])
+        self.standing_height_m = float(standing_pose(self.quadrotor, rig, self._step_s)[2])
+        """Height of the centre of mass above the floor when a drone of the type stands on its feet [m]."""
         self._air = BatchAir(Winds.of(CALM, count), rng or np.random.default_rng(0))
         parameters, nothing = VehicleParameters.of(self.quadrotor, count), np.zeros(count, dtype=bool)
         self._rotors = Rotors(self.quadrotor, parameters)
-        self._now = PlantState(
+        self.now = PlantState(
             parameters=parameters,
             rotors=self._rotors.steady_state(np.zeros((count, 4))),
             elapsed=np.zeros(count, dtype=np.int64),
@@ -97,12 +98,13 @@ class BatchPlant:
             velocity_between=np.zeros((3, count)),
             samples=PointSamples(np.zeros((count, 3)), np.zeros((count, 3))),
         )
-        self.reset(~nothing, VehicleStates.at(np.tile([0.0, 0.0, self._standing_m], (count, 1))))
+        """State of the vehicles at the current time; in a plant without IMUs, their samples are zeros."""
+        self.reset(~nothing, VehicleStates.at(np.tile([0.0, 0.0, self.standing_height_m], (count, 1))))
 
     @property
     def count(self) -> int:
         """Number of vehicles."""
-        return len(self._now.elapsed)
+        return len(self.now.elapsed)
 
     @property
     def interval_s(self) -> float:
@@ -110,24 +112,14 @@ class BatchPlant:
         return self.interval_ns * 1e-9
 
     @property
-    def standing_height_m(self) -> float:
-        """Height of the centre of mass above the floor when a drone of the type stands on its feet [m]."""
-        return self._standing_m
-
-    @property
-    def now(self) -> PlantState:
-        """State of the vehicles at the current time; in a plant without IMUs, their samples are zeros."""
-        return self._now
-
-    @property
     def t_ns(self) -> npt.NDArray[np.int64]:
         """(n,) Times since the last reset of each vehicle [ns]."""
-        return self._now.elapsed * self.interval_ns
+        return self.now.elapsed * self.interval_ns
 
     @property
     def states(self) -> VehicleStates:
         """True states of the vehicles."""
-        motion, rotors = self._now.motion, self._now.rotors
+        motion, rotors = self.now.motion, self.now.rotors
         position = motion[POSITION] - 0.5 * self._step_s * motion[VELOCITY]
         R = rotations_at_velocities(motion, self._step_s)
         return VehicleStates(
@@ -156,13 +148,13 @@ class BatchPlant:
 
     def save(self) -> SavedPlant:
         """Return the state of vehicles, gusts and clocks, with arrays that no later step changes."""
-        return SavedPlant(self._simulation.save(), self._air.save(), self._now)
+        return SavedPlant(self._simulation.save(), self._air.save(), self.now)
 
     def restore(self, saved: SavedPlant) -> None:
         """Return to a state of a plant of the same vehicle type, world and rates, with as many vehicles."""
-        self._now = saved.vehicles
-        self._rotors = Rotors(self.quadrotor, self._now.parameters)
-        self._simulation.restore(saved.physics, self._now.parameters)
+        self.now = saved.vehicles
+        self._rotors = Rotors(self.quadrotor, self.now.parameters)
+        self._simulation.restore(saved.physics, self.now.parameters)
         self._air.restore(saved.air)
 
     def reset(
@@ -188,7 +180,7 @@ class BatchPlant:
             return
         states = states.rows(rows)
         states.check(FASTEST)
-        own = (parameters or self._now.parameters).rows(rows)
+        own = (parameters or self.now.parameters).rows(rows)
         if parameters is not None:
             self._simulation.change_bodies(rows, own)
         self._air.renew(rows, self.winds if winds is None else with_rows(self.winds, rows, winds.rows(rows)))
@@ -198,20 +190,20 @@ class BatchPlant:
         motion = self._simulation.motion(rows)
         wrench = model.wrench(rotors, self._airflow(motion, rows))
         flown = self._simulation.run(rows, motion, wrench, nothing, nothing)
-        between, samples = np.zeros((3, rows.size)), self._now.samples.rows(rows)
+        between, samples = np.zeros((3, rows.size)), self.now.samples.rows(rows)
         if flown.middle is not None:
             before = extrapolated_back(flown.start, flown.middle)  # to before t = 0
             between = velocities_of(self.rig.T_vehicle_imu[:3, 3], before, self._step_s)
             between, samples = self._sample(flown.start, between, flown.middle)
         elapsed = np.zeros(rows.size, dtype=np.int64)
         placed = PlantState(own, rotors, elapsed, flown.touched, flown.diverged, flown.start, between, samples)
-        self._now = self._now.with_vehicles(rows, placed)
+        self.now = self.now.with_vehicles(rows, placed)
         if parameters is not None:
-            self._rotors = Rotors(self.quadrotor, self._now.parameters)
+            self._rotors = Rotors(self.quadrotor, self.now.parameters)
 
     def advance(self, commands: Array) -> PointSamples:
         """Apply commands (n, 4) of rotor speeds [rad/s] for one IMU interval, and return the IMU samples at its end."""
-        now = self._now
+        now = self.now
         diverged, finite = now.diverged, np.isfinite(commands)
         if not finite.all():
             rows = np.asarray(finite.all(axis=1))
@@ -223,7 +215,7 @@ class BatchPlant:
         between, samples = now.velocity_between, now.samples
         if flown.middle is not None:
             between, samples = self._sample(flown.start, between, flown.middle)
-        self._now = PlantState(
+        self.now = PlantState(
             now.parameters, rotors, now.elapsed + 1, flown.touched, flown.diverged, flown.start, between, samples
         )
         return samples

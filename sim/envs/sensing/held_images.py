@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 
 from dronevio.models.imu import Times
 from dronevio.models.rotation import exp_so3, pose_matrix
@@ -49,15 +48,12 @@ class ImageRenderer:
         """
         self._period, self._make_source = period, make_source
         self._sources = {texture_seed: make_source(texture_seed)}
-        self._spaces = self._sources[texture_seed].spaces()
-
-    def spaces(self) -> dict[str, spaces.Box]:
-        """Return the spaces of the images of one environment."""
-        return self._spaces
+        self.spaces = self._sources[texture_seed].spaces()
+        """Spaces of the images of one environment by name."""
 
     def start(self, count: int) -> HeldImages:
         """Return black images of ``count`` environments, all of them due."""
-        black = {name: np.zeros((count, *space.shape), space.dtype) for name, space in self._spaces.items()}
+        black = {name: np.zeros((count, *space.shape), space.dtype) for name, space in self.spaces.items()}
         return HeldImages(np.zeros(count, dtype=np.int64), black)
 
     def renewed(self, held: HeldImages, T_world_imu: Array, t_ns: Times, draws: RandomizedParameters) -> HeldImages:
