@@ -427,7 +427,7 @@ def summary_rows(
         *_joined_rows(command, summary),
         *(
             (label, "–" if value is None else format(value, form), unit)
-            for label, value, form, unit in innovation_rows(summary["innovations"])
+            for label, value, form, unit in innovation_rows(run.innovations)
         ),
         ("processor time per frame", f"{summary['cpu_ms_per_frame']:.1f}", "ms"),
         (

@@ -71,6 +71,11 @@ class PairRule:
         """The distance with its unit as text, such as ``1 s``."""
         return f"{self.delta:g}{'°' if self.unit == 'deg' else ' ' + self.unit}"
 
+    @property
+    def delta_s(self) -> float | None:
+        """The distance [s]; None if its unit is not the second."""
+        return self.delta if self.unit == "s" else None
+
     def select(self, t_ns: Times, p: Array, quat_wxyz: Array) -> Pairs:
         """Return the pairs of poses with time stamps (N,), positions (N, 3) and orientations (N, 4)."""
         if self.selection == "consecutive":
