@@ -32,9 +32,9 @@ def registry(command: type, defaults: Mapping[str, object], with_settings: bool)
         defaults: Values of fields of the command that replace the defaults of the dataclass.
         with_settings: Whether groups of settings become options.
     """
-    found = ConstructorRegistry()
+    constructors = ConstructorRegistry()
 
-    @found.struct_rule
+    @constructors.struct_rule
     def dataclass_rule(info: StructTypeInfo) -> StructConstructorSpec | None:
         if not dataclasses.is_dataclass(info.type):
             return None
@@ -52,21 +52,21 @@ def registry(command: type, defaults: Mapping[str, object], with_settings: bool)
         ]
         return StructConstructorSpec(info.type, tuple(fields))
 
-    return found
+    return constructors
 
 
 def settings_groups(command: type) -> dict[str, str]:
     """Return the groups of settings of a command: the prefix of their options, and what they are."""
-    found: dict[str, str] = {}
+    groups: dict[str, str] = {}
     hints = field_types(command, with_settings=False)
     for field in dataclasses.fields(command):
         kind = _without_annotation(hints[field.name])
         if _is_group(field, hints[field.name]):
-            found[field.name.replace("_", "-")] = _help_text(command, field.name) or ""
+            groups[field.name.replace("_", "-")] = _help_text(command, field.name) or ""
         elif dataclasses.is_dataclass(kind):
             assert isinstance(kind, type)
-            found |= settings_groups(kind)
-    return found
+            groups |= settings_groups(kind)
+    return groups
 
 
 def _is_group(field: dataclasses.Field[Any], hint: Any) -> bool:

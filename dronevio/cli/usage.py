@@ -50,9 +50,9 @@ def range_message(error: RangeError, command: type, arguments: Sequence[str]) ->
         command: The dataclass of the command.
         arguments: The words after the command's name; of several options for such a field, those in them count.
     """
-    found = [name for name, owner, field in options(command) if field == error.field and owner is error.settings]
+    matching = [name for name, owner, field in options(command) if field == error.field and owner is error.settings]
     given = {word.partition("=")[0].replace("_", "-") for word in arguments}
-    names = [name for name in found if name in given] or found
+    names = [name for name in matching if name in given] or matching
     return f"{' or '.join(names)} {error.problem}" if names else str(error)
 
 
