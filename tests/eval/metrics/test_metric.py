@@ -126,7 +126,7 @@ def test_the_columns_are_documented() -> None:
     assert {*Row("", "", None, "", "", "", "ok").columns} <= documented
 
 
-def test_values_of_a_run_and_of_many_runs_are_written_with_their_decimals() -> None:
+def test_values_are_written_with_their_decimals() -> None:
     scale = METRICS["scale_error_percent"]
     assert (scale.text(-0.5), scale.text(0.5), scale.text(None)) == ("−0.50", "+0.50", "–")
     assert (scale.heading, scale.label("1 s")) == ("Absolute scale error [%]", "scale error")
