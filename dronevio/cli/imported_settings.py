@@ -23,9 +23,9 @@ class ImportedSettings:
 
     def imported(self) -> type:
         """Return the class."""
-        found = getattr(importlib.import_module(self.module), self.name)
-        assert isinstance(found, type)
-        return found
+        kind = getattr(importlib.import_module(self.module), self.name)
+        assert isinstance(kind, type)
+        return kind
 
 
 def field_types(kind: type, with_settings: bool) -> dict[str, Any]:

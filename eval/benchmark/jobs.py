@@ -167,8 +167,8 @@ class Job:
             "processor": processor_here(),
         }
         ending = {"status": outcome.status, "reason": outcome.reason}
-        cost = {"wall_s": outcome.wall_s, "peak_mb": outcome.peak_mb}
-        return Row.from_columns({**run, **inputs, **ending, **cost, **(outcome.value or {})})
+        metrics = {"peak_mb": outcome.peak_mb, **(outcome.value or {}), "wall_s": outcome.wall_s}
+        return Row.from_columns({**run, **inputs, **ending, **metrics})
 
     def _record(self, folder: Path) -> None:
         """Make the recording in a process of its own, and store its resource usage."""

@@ -11,8 +11,8 @@ from functools import cached_property
 from typing import Any
 
 from dronevio.eval.metrics.loops import FlightRevisits, LoopQuality, loop_quality, rmse_after_revisit_m
-from dronevio.eval.metrics.metric import Metric, metrics_of
-from dronevio.eval.metrics.scores import ScoredTrajectory, Scores, score_trajectory
+from dronevio.eval.metrics.metric import Metric
+from dronevio.eval.metrics.scores import SCORE_METRICS, ScoredTrajectory, Scores, score_trajectory
 from dronevio.eval.metrics.start_errors import StartErrors, largest_step_error_m, start_errors
 from dronevio.eval.run import EstimatorRun
 from dronevio.eval.tracking import longest_loss_s, tracking_sigmas
@@ -234,6 +234,7 @@ RUN_METRICS = (
     ),
     Metric(
         "Elapsed time of the run", "s", 1, "any", "wall_s",
+        of=lambda run: None,  # it ends after this; see `Job.row`
         counts_failed=False,
         description="Elapsed time of the run's process.",
     ),
@@ -254,7 +255,7 @@ RUN_METRICS = (
     ),
 )  # fmt: skip
 """The metrics that are no scores of a trajectory."""
-STORED_METRICS = (*metrics_of(Scores), *RUN_METRICS)
+STORED_METRICS = (*SCORE_METRICS.values(), *RUN_METRICS)
 """The metrics that are columns of the files of a benchmark, in this order."""
 DERIVED_METRICS = (Metric("ATE, position", "% of the path length", 3, name="ate_percent", of=_ate_percent),)
 """The metrics that are computed from columns, and are not stored."""
@@ -277,7 +278,7 @@ def metric_named(name: str) -> Metric:
 def score_columns(scores: Scores) -> dict[str, Any]:
     """Return the columns of a row that are computed from the scores of an estimate."""
     return {
-        **{metric.name: metric.of(scores) for metric in metrics_of(Scores) if metric.of is not None},
+        **{name: metric.of(scores) for name, metric in SCORE_METRICS.items()},
         "sub_trajectory_m": tuple(errors.length_m for errors in scores.lengths),
         "sub_trajectory_rpe_m": tuple(errors.translation_m.rmse for errors in scores.lengths),
         "sub_trajectory_rpe_deg": tuple(errors.rotation_deg.rmse for errors in scores.lengths),
@@ -290,5 +291,5 @@ def run_columns(run: EvaluatedRun) -> dict[str, Any]:
     Raises:
         EvaluationError: Truth and poses of a map have fewer than three poses in common, or cannot be aligned.
     """
-    others = {metric.name: metric.of(run) for metric in RUN_METRICS if metric.of is not None}
+    others = {metric.name: metric.of(run) for metric in RUN_METRICS}
     return {**score_columns(run.scored.scores), **others}

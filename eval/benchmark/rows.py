@@ -87,7 +87,7 @@ class Row:
             KeyError: There is no such metric.
         """
         metric = METRICS[name]
-        return metric.of(self.values) if metric in DERIVED_METRICS and metric.of else self.values.get(name)
+        return metric.of(self.values) if metric in DERIVED_METRICS else self.values.get(name)
 
     @property
     def identity(self) -> Identity:

@@ -1,6 +1,6 @@
 """The declaration of a metric: its name, unit, form in tables, and how it is computed.
 
-A metric of a trajectory is a field of `Scores`, declared by `value` or `statistics`; other metrics of a benchmark are
+A metric of a trajectory is a field of `Scores`, declared by `computed`; other metrics of a benchmark are
 entries of `dronevio.eval.benchmark.metrics`. Scores, columns of benchmarks, tables and units follow from it.
 """
 
@@ -9,12 +9,18 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
+from dronevio.eval.metrics.errors import Statistics
+
 Best = Literal["low", "high", "three", "any"]
 """Which value is best: the smallest, the largest, the one nearest to 3, or none of them."""
 DASH = "–"
 """Text of an unknown value."""
 FAILED = "failed"
 """Text of a value that falls on a failed run."""
+
+
+def _figure(value: float | Statistics) -> float:
+    return value.rmse if isinstance(value, Statistics) else value
 
 
 @dataclass(frozen=True)
@@ -32,9 +38,9 @@ class Metric:
     metrics."""
     name: str = ""
     """Name in benchmarks; empty for that of the field of `Scores`."""
-    of: Callable[[Any], float | None] | None = None
-    """Computes the figure from an `EvaluatedRun`, or from the value of the field of `Scores`; it returns None where the
-    figure is not known. None for the value itself, and for the root mean square of statistics."""
+    of: Callable[[Any], float | None] = _figure
+    """Computes the figure from an `EvaluatedRun`, or from the value of the field of `Scores`: by default that value, or
+    the root mean square of statistics. None where it is not known."""
     signed: bool = False
     """Whether it is an error with a direction: over many runs, magnitudes are compared."""
     counts_failed: bool = True
@@ -50,16 +56,18 @@ class Metric:
     @property
     def compared_title(self) -> str:
         """Title over the values of many runs, whose relative errors are those over 1 s."""
-        return f"Absolute {self.title.lower()}" if self.signed else self.titled("1 s")
+        title = self.title.format(interval="1 s")
+        return f"Absolute {title.lower()}" if self.signed else title
 
     @property
     def worst(self) -> float:
         """The value of a failed run: ∞, or −∞ if large values are good."""
         return -math.inf if self.best == "high" else math.inf
 
-    def titled(self, interval: str) -> str:
-        """Return the title, given the distance between the poses of relative errors, such as ``1 s``."""
-        return self.title.format(interval=interval)
+    def label(self, interval: str) -> str:
+        """Return the title in a list, given the distance between the poses of relative errors, such as ``1 s``."""
+        title = self.title.format(interval=interval)
+        return title if title[:2].isupper() else title[0].lower() + title[1:]
 
     def text(self, value: float | None) -> str:
         """Return the value of one run as text; a dash if it is not known."""
@@ -76,24 +84,14 @@ class Metric:
         return value if self.best == "low" else -value if self.best == "high" else 0.0
 
 
-def value(of: Callable[[Any], object], *metrics: Metric) -> Any:
-    """Declare a field that is computed from `TrajectoryErrors`, and the metrics that are taken from its value."""
-    return field(metadata={"of": of, "metrics": [replace(m, of=m.of or _itself) for m in metrics]})
+def computed(of: Callable[[Any], object], *metrics: Metric) -> Any:
+    """Declare a field of a dataclass: how it is computed, and the metrics that are taken from its value."""
+    return field(metadata={"of": of, "metrics": metrics})
 
 
-def statistics(of: Callable[[Any], object], *metrics: Metric) -> Any:
-    """Declare a field with `Statistics` or None, of which metrics are the root mean square by default."""
-    return field(metadata={"of": of, "metrics": [replace(m, of=m.of or _rmse) for m in metrics]})
-
-
-def computed(kind: type[Any], source: object) -> dict[str, Any]:
-    """Return the values of the fields of a dataclass, each as `value` or `statistics` declares it."""
+def computed_values(kind: type[Any], source: object) -> dict[str, Any]:
+    """Return the values of the fields of such a dataclass, computed from an object."""
     return {each.name: each.metadata["of"](source) for each in fields(kind)}
-
-
-def metrics_of(kind: type[Any]) -> tuple[Metric, ...]:
-    """Return the metrics of such a dataclass, with their names, computed from an instance of it."""
-    return tuple(_of_field(metric, name) for name, metric in declared(kind))
 
 
 def declared(kind: type[Any]) -> Iterator[tuple[str, Metric]]:
@@ -101,6 +99,12 @@ def declared(kind: type[Any]) -> Iterator[tuple[str, Metric]]:
     for each in fields(kind):
         for metric in each.metadata["metrics"]:
             yield each.name, metric
+
+
+def metrics_of(kind: type[Any]) -> dict[str, Metric]:
+    """Return the metrics of such a dataclass by name, computed from an instance of it."""
+    named = (_of_field(metric, name) for name, metric in declared(kind))
+    return {metric.name: metric for metric in named}
 
 
 def significant(number: float, digits: int = 3) -> str:
@@ -113,20 +117,8 @@ def significant(number: float, digits: int = 3) -> str:
 
 
 def _of_field(metric: Metric, name: str) -> Metric:
-    taken = metric.of
-    assert taken is not None
-
     def of(source: Any) -> float | None:
-        whole = getattr(source, name)
-        return None if whole is None else taken(whole)
+        value = getattr(source, name)
+        return None if value is None else metric.of(value)
 
     return replace(metric, name=metric.name or name, of=of)
-
-
-def _itself(whole: float) -> float:
-    return whole
-
-
-def _rmse(errors: Any) -> float:
-    rmse: float = errors.rmse
-    return rmse

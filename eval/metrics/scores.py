@@ -16,7 +16,7 @@ from dronevio.eval.metrics.association import Association, nearest_rows
 from dronevio.eval.metrics.consistency import inside_percent
 from dronevio.eval.metrics.errors import Statistics, translation_errors_m
 from dronevio.eval.metrics.lengths import LengthErrors
-from dronevio.eval.metrics.metric import Metric, computed, statistics, value
+from dronevio.eval.metrics.metric import Metric, computed, computed_values, metrics_of
 from dronevio.eval.metrics.trajectory_errors import Compared, ScoreOptions, TrajectoryErrors
 from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import Times
@@ -34,118 +34,116 @@ _DEFAULTS = ScoreOptions()
 class Scores:
     """Scores of an estimated trajectory. Angles are in degrees, other quantities in SI units."""
 
-    alignment: AlignmentMode = value(lambda e: e.given.options.alignment)
+    alignment: AlignmentMode = computed(lambda e: e.given.options.alignment)
     """Alignment before errors were computed."""
-    align_poses: int | None = value(lambda e: e.given.options.align_poses)
+    align_poses: int | None = computed(lambda e: e.given.options.align_poses)
     """Number of aligned poses, from the first on; None for all."""
-    association: Association = value(lambda e: e.given.options.association)
+    association: Association = computed(lambda e: e.given.options.association)
     """How the true pose of an estimated pose was found."""
-    time_offset_s: float = value(lambda e: e.given.options.time_offset_s)
+    time_offset_s: float = computed(lambda e: e.given.options.time_offset_s)
     """Offset that was added to the estimate's time stamps [s]."""
-    n_poses: int = value(lambda e: len(e.truth))
+    n_poses: int = computed(lambda e: len(e.truth))
     """Number of estimated poses that were compared with the truth."""
-    n_estimated: int = value(lambda e: len(e.given.estimate))
+    n_estimated: int = computed(lambda e: len(e.given.estimate))
     """Number of poses of the estimate."""
-    path_m: float = value(lambda e: e.truth.length_m, Metric("Length of the path", "m", 2, best=None))
+    path_m: float = computed(lambda e: e.truth.length_m, Metric("Length of the path", "m", 2, best=None))
     """Length of the true path over the compared poses [m]."""
-    ate_m: Statistics = statistics(
+    ate_m: Statistics = computed(
         lambda e: Statistics.of(e.translation_error_m),
         Metric("ATE, position", "m", 4),
         Metric("Largest position error", "m", 4, name="max_error_m", of=lambda ate_m: ate_m.max),
     )
     """Absolute position error after alignment [m]."""
-    ate_deg: Statistics = statistics(
+    ate_deg: Statistics = computed(
         lambda e: Statistics.of(np.degrees(e.rotation_error_rad)), Metric("ATE, orientation", "°", 3)
     )
     """Absolute orientation error after alignment [°]."""
-    rpe_interval: str = value(lambda e: e.given.options.rpe.label)
+    rpe_interval: str = computed(lambda e: e.given.options.rpe.label)
     """Distance between the two poses of a relative error, such as ``1 s`` or ``100 m``."""
-    rpe_delta_s: float | None = value(lambda e: e.given.options.rpe.delta if e.given.options.rpe.unit == "s" else None)
+    rpe_delta_s: float | None = computed(lambda e: e.given.options.rpe.delta_s)
     """The same distance [s]; None if its unit is not the second."""
-    rpe_pairs: int = value(lambda e: len(e.rpe_m))
+    rpe_pairs: int = computed(lambda e: len(e.rpe_m))
     """Number of pairs of poses at that distance."""
-    rpe_m: Statistics | None = statistics(
-        lambda e: _statistics(e.rpe_m), Metric("RPE over {interval}, position", "m", 4)
-    )
+    rpe_m: Statistics | None = computed(lambda e: _statistics(e.rpe_m), Metric("RPE over {interval}, position", "m", 4))
     """Relative position error [m]; None without such pairs."""
-    rpe_deg: Statistics | None = statistics(
+    rpe_deg: Statistics | None = computed(
         lambda e: _statistics(np.degrees(e.rpe_rad)), Metric("RPE over {interval}, orientation", "°", 3)
     )
     """Relative orientation error [°]; None without such pairs."""
-    lengths: tuple[LengthErrors, ...] = value(lambda e: e.lengths)
+    lengths: tuple[LengthErrors, ...] = computed(lambda e: e.lengths)
     """Errors by sub-trajectory length."""
-    drift_percent: float | None = value(
+    drift_percent: float | None = computed(
         lambda e: mean_drift_percent(e.lengths), Metric("Drift", "% of the path length", 3)
     )
     """Mean drift over all sub-trajectories, relative to their lengths [%]; None without sub-trajectories."""
-    scale_error_percent: float | None = value(
+    scale_error_percent: float | None = computed(
         lambda e: scale_error_percent(e.truth.p_world_imu, e.unaligned.p_world_imu),
         Metric("Scale error", "%", 2, signed=True),
     )
     """Relative error of the scale, positive if the estimated path is too large [%]; None for a straight path."""
-    velocity_m_s: Statistics | None = statistics(
+    velocity_m_s: Statistics | None = computed(
         lambda e: _differences(e.truth.velocity_m_s, e.estimate.velocity_m_s), Metric("Velocity error", "m/s", 4)
     )
     """Velocity error after alignment [m/s]; None if truth or estimate has no velocities."""
-    gyro_bias_rad_s: Statistics | None = statistics(
+    gyro_bias_rad_s: Statistics | None = computed(
         lambda e: _differences(e.truth.gyro_bias_rad_s, e.estimate.gyro_bias_rad_s),
         Metric("Gyroscope bias", "rad/s", 5),
     )
     """Error of the gyroscope bias [rad/s]; None if truth or estimate has no biases."""
-    accel_bias_m_s2: Statistics | None = statistics(
+    accel_bias_m_s2: Statistics | None = computed(
         lambda e: _differences(e.truth.accel_bias_m_s2, e.estimate.accel_bias_m_s2),
         Metric("Accelerometer bias", "m/s²", 4),
     )
     """Error of the accelerometer bias [m/s²]; None if truth or estimate has no biases."""
-    coverage_percent: float | None = value(
+    coverage_percent: float | None = computed(
         lambda e: _of_frames(coverage_percent, e), Metric("Coverage", "% of the frames", 1, best="high")
     )
     """Share of the frames later than 3 s after the first that have a pose [%]; None without frame times."""
-    initialization_s: float | None = value(
+    initialization_s: float | None = computed(
         lambda e: _of_frames(initialization_s, e),
         Metric("First pose after the first frame", "s", 3, best=None, name="start_s"),
     )
     """Time from the first frame to the first estimated pose [s]; None without frame times."""
-    first_pose_s: float = value(
+    first_pose_s: float = computed(
         lambda e: float(e.truth.t_ns[0] - e.given.truth.t_ns[0]) * 1e-9, Metric("Time of the first pose", "s", 3)
     )
     """Time of the first compared pose after the first true pose [s]."""
-    last_pose_s: float = value(lambda e: float(e.truth.t_ns[-1] - e.given.truth.t_ns[0]) * 1e-9)
+    last_pose_s: float = computed(lambda e: float(e.truth.t_ns[-1] - e.given.truth.t_ns[0]) * 1e-9)
     """Time of the last compared pose after the first true pose [s]."""
-    nees_position: float | None = value(
+    nees_position: float | None = computed(
         lambda e: e.consistency and float(e.consistency.position_nees.mean()),
         Metric("NEES of the position, 3 expected", "", 2, best="three"),
     )
     """Mean NEES of the position, 3 expected; larger values are overconfident; None without covariances."""
-    nees_orientation: float | None = value(
+    nees_orientation: float | None = computed(
         lambda e: e.consistency and float(e.consistency.orientation_nees.mean()),
         Metric("NEES of the orientation, 3 expected", "", 2, best="three"),
     )
     """Mean NEES of the orientation, 3 expected; larger values are overconfident; None without covariances."""
-    nees_velocity: float | None = value(
+    nees_velocity: float | None = computed(
         lambda e: _mean(e.consistency and e.consistency.velocity_nees),
         Metric("NEES of the velocity, 3 expected", "", 2, best="three"),
     )
     """Mean NEES of the velocity, 3 expected; larger values are overconfident; None without covariances or
     velocities."""
-    nees_position_inside_percent: float | None = value(
+    nees_position_inside_percent: float | None = computed(
         lambda e: e.consistency and inside_percent(e.consistency.position_nees)
     )
     """Share of poses whose NEES of the position is within its two-sided 95 % bounds [%]; None without covariances."""
-    nees_orientation_inside_percent: float | None = value(
+    nees_orientation_inside_percent: float | None = computed(
         lambda e: e.consistency and inside_percent(e.consistency.orientation_nees)
     )
     """Share of poses whose NEES of the orientation is within these bounds [%]; None without covariances."""
-    position_beyond_3_sigma_percent: float | None = value(
+    position_beyond_3_sigma_percent: float | None = computed(
         lambda e: e.consistency and 100.0 * e.consistency.position_exceedance,
         Metric("Position errors beyond 3σ, 0.27 expected", "%", 2),
     )
     """Share of position errors beyond 3σ [%]; 0.27 expected; None without covariances."""
-    orientation_beyond_3_sigma_percent: float | None = value(
+    orientation_beyond_3_sigma_percent: float | None = computed(
         lambda e: e.consistency and 100.0 * e.consistency.orientation_exceedance
     )
     """Share of orientation errors beyond 3σ [%]; 0.27 expected; None without covariances."""
-    longest_gap_s: float = value(
+    longest_gap_s: float = computed(
         lambda e: float(np.diff(e.truth.t_ns).max()) * 1e-9, Metric("Longest time between two poses", "s", 3)
     )
     """Longest time between two successive compared poses [s]."""
@@ -162,6 +160,10 @@ class Scores:
         return cls(**known | {"lengths": lengths})
 
 
+SCORE_METRICS = metrics_of(Scores)
+"""The metrics of a trajectory by name."""
+
+
 @dataclass(frozen=True, eq=False)
 class ScoredTrajectory(TrajectoryErrors):
     """An estimated trajectory with its errors at every pose, and its scores."""
@@ -169,7 +171,7 @@ class ScoredTrajectory(TrajectoryErrors):
     @cached_property
     def scores(self) -> Scores:
         """Scores computed from these errors."""
-        return Scores(**computed(Scores, self))
+        return Scores(**computed_values(Scores, self))
 
 
 def score(

@@ -54,9 +54,9 @@ def test_tables_have_scores_with_units(flight: Path, capsys: pytest.CaptureFixtu
         "alignment yaw",
         "ATE, position",
         "RPE over 1 s, orientation",
-        "Scale error",
+        "scale error",
         "+5.00",
-        "Coverage",
+        "coverage",
         "81 of 81",
     ):
         assert text in out

@@ -123,16 +123,16 @@ def print_scores(title: str, scores: "Scores") -> None:
 
     errors, values = [], []
     for name, metric in declared(type(scores)):
-        whole, label = getattr(scores, name), metric.titled(scores.rpe_interval)
+        whole, label = getattr(scores, name), metric.label(scores.rpe_interval)
         if isinstance(whole, Statistics):
             cells = map(metric.text, (whole.rmse, whole.mean, whole.median, whole.max))
             errors += [] if metric.name else [(label, *cells, metric.unit)]  # of a part of them: in the table already
         elif whole is not None:
             values.append((label, metric.text(whole), metric.unit))
     counts = [
-        ("Poses compared", f"{scores.n_poses} of {scores.n_estimated}", ""),
-        ("Last pose after the first true pose", f"{scores.last_pose_s:.3f}", "s"),
-        (f"Pairs over {scores.rpe_interval}", f"{scores.rpe_pairs}", ""),
+        ("poses compared", f"{scores.n_poses} of {scores.n_estimated}", ""),
+        ("last pose after the first true pose", f"{scores.last_pose_s:.3f}", "s"),
+        (f"pairs over {scores.rpe_interval}", f"{scores.rpe_pairs}", ""),
     ]
     headings = ("error", "rmse", "mean", "median", "max", "unit")
     print_table(f"{title}, alignment {scores.alignment}", headings, errors, left=("unit",))
