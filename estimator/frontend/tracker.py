@@ -51,7 +51,7 @@ class TrackerConfig(Settings):
     border_px: Annotated[int, Range(1, 200)] = 12
     """Distance from the image border below which features are dropped [px]."""
     max_correction_px: Annotated[float, Range(above=0.0)] = 2.0
-    """Largest distance between the result of Lucas-Kanade and the aligned patch [px]."""
+    """Largest distance between the results of Lucas-Kanade and of the patch alignment [px]."""
     min_tracked_ratio: Annotated[float, Range(0.0, 1.0)] = 0.5
     """Smallest ratio of tracked features to those predicted inside the image. Below it, the prediction is regarded as
     wrong, and the remaining features are searched again in a larger neighbourhood of their previous positions."""

@@ -11,17 +11,17 @@ Fuller, "Measurement Error Models", 1987, section 1.1). `Scale.ODOMETRY` is for 
 an IMU factor spans a second, over which such errors matter little, and the relative poses of the odometry hold the
 scale that its windows have found.
 
-A loop enters it by the landmarks of the earlier visit that the later keyframe sees. Its relative pose would not do with
-one camera: its position is as wrong as the scale of the landmarks then, and since the residual is in metres, a smaller
-map would have smaller residuals.
+A loop enters it by the landmarks of the earlier visit that the later keyframe sees. With one camera, its relative pose
+cannot replace them: the scale of its position has the error of the landmarks at that time, and since the residual is in
+metres, a smaller map would have smaller residuals.
 
 The keyframes of a loaded map have no measurements of their flights but the corners of their images. Those of landmarks
 that the new flight sees again are observations, too, and the saved pose graph holds the keyframes, so that the scale is
 that of the loaded map.
 
-With several cameras, the orientation of the others relative to the first one is estimated, too. Stereo matches have an
-error of a hundredth of a pixel in common, by which a map of landmarks with disparities of ten pixels is a tenth of a
-percent too small. A rotation of the second camera explains it, and the scale then follows from near landmarks.
+With several cameras, the orientation of the others relative to the first one is estimated, too. Stereo matches share an
+error of a hundredth of a pixel: at disparities of ten pixels, the map is too small by a tenth of a percent. A rotation
+of the second camera explains it, and the scale then follows from near landmarks.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -51,7 +51,7 @@ Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 LONG_INTERVAL_S = 1.0
-"""Least interval of an IMU factor where the odometry determines the scale [s]; shorter at the end of a track."""
+"""Shortest interval of an IMU factor where the odometry determines the scale [s]; shorter at the end of a track."""
 ODOMETRY_VARIANCE = 10.0
 """Factor on the covariances of the relative poses by the odometry, which has used the IMU measurements, too."""
 RIG_TRANSLATION_SIGMA_M = 1e-5
@@ -60,7 +60,7 @@ determines the scale."""
 
 
 class Scale(StrEnum):
-    """What determines the scale of a map with one camera."""
+    """Source of the scale of a map with one camera."""
 
     IMU = "IMU"
     """All IMU measurements of the flight together."""
@@ -168,7 +168,7 @@ class AdjustedMap:
     accel_bias_m_s2: Array
     """(3,) Accelerometer bias at the newest keyframe [m/s²]."""
     scale: Scale
-    """What has determined the scale."""
+    """Source of the scale."""
 
 
 def adjust(inputs: AdjustmentInputs, config: AdjustmentConfig, scale: Scale = Scale.IMU) -> AdjustedMap:

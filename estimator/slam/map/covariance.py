@@ -1,10 +1,11 @@
 """Covariances of keyframes in the map by the best path to each of them, through odometry and loops.
 
-The errors of an odometry are correlated over minutes, as by an error of scale. A pose graph takes its factors as
-independent, and lets loops remove errors that they do not: in a corridor that was flown twice, its marginal covariances
-are too small by a factor of 100. Where correlations are not known, each single path through the graph is consistent,
-which is covariance intersection with a weight of one (Julier and Uhlmann, "A non-divergent estimation algorithm in the
-presence of unknown correlations", ACC 1997). The path with the smallest variance of the position counts.
+The errors of an odometry are correlated over minutes, for example by an error of scale. A pose graph assumes
+independent factors, so that loops seem to remove errors that they do not: in a corridor that was flown twice, its
+marginal covariances are too small by a factor of 100. Where correlations are not known, each single path through the
+graph is consistent, which is covariance intersection with a weight of one (Julier and Uhlmann, "A non-divergent
+estimation algorithm in the presence of unknown correlations", ACC 1997). The path with the smallest position variance
+is used.
 """
 
 from collections import defaultdict
@@ -30,7 +31,7 @@ from dronevio.estimator.slam.map.pose_graph import (
 Array = npt.NDArray[np.float64]
 
 UNKNOWN = np.diag(np.repeat([FREE_ROTATION_SIGMA_RAD**2, FREE_POSITION_SIGMA_M**2], 3))
-"""(6, 6) Covariance of a pose of which nothing is known."""
+"""(6, 6) Covariance of an unknown pose."""
 
 
 def covariances_with_loops(
@@ -94,5 +95,5 @@ def with_position(covariance: Array, position: AbsolutePosition, T_map_imu: Arra
 
 
 def is_unknown(covariance: Array) -> bool:
-    """Return whether nothing is known of a position."""
+    """Return whether a position is unknown."""
     return position_variance(covariance) > FREE_POSITION_SIGMA_M**2

@@ -1,4 +1,4 @@
-"""What the odometry tells of its keyframes, as messages to the map.
+"""Keyframes of the odometry, as messages to the map.
 
 A keyframe waits with its images, features and IMU samples until it leaves the window of the odometry; then its estimate
 is final, and it joins the map. While the pose in the map is unknown, the map receives new keyframes at once, too.
@@ -22,7 +22,7 @@ from dronevio.models.state import CameraFrame
 
 
 class KeyframeMessages:
-    """Turns what the odometry tells of its keyframes into messages to the map; implements `KeyframeObserver`."""
+    """Turns keyframes of the odometry into messages to the map; implements `KeyframeObserver`."""
 
     def __init__(self, window_s: float) -> None:
         """Begin without keyframes.
