@@ -179,8 +179,10 @@ def adjust(inputs: AdjustmentInputs, config: AdjustmentConfig, scale: Scale = Sc
         config: Settings.
         scale: What determines the scale.
     """
+    # Landmarks by the initial poses
     keyframes, relative = inputs.keyframes, [loop for loop in inputs.loops if not len(loop.observations)]
     table, points = triangulated(map_observations(inputs, config), inputs, config)
+    # Poses, with the prior of the first keyframe and the graph of a loaded map
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for keyframe in keyframes:
         values.insert(X(keyframe.number), pose3=gtsam.Pose3(keyframe.T_map_imu))
@@ -189,12 +191,15 @@ def adjust(inputs: AdjustmentInputs, config: AdjustmentConfig, scale: Scale = Sc
             graph.add(gtsam.PriorFactorPose3(X(keyframe.number), gtsam.Pose3(keyframe.T_map_imu), noise))
     if inputs.saved is not None:
         _add_saved(graph, values, inputs.saved.graph, {*table.keyframe.tolist(), *(each.first for each in relative)})
+    # IMU factors, and where the odometry determines the scale its relative poses
     intervals = list(_imu_intervals(keyframes, LONG_INTERVAL_S if scale is Scale.ODOMETRY else 0.0))
     _add_imu(graph, values, inputs, intervals)
     if scale is Scale.ODOMETRY:
         _add_relative_poses(graph, _odometry(keyframes), ODOMETRY_VARIANCE)
+    # Loops without observations, and reprojections
     _add_relative_poses(graph, relative)
     _add_landmarks(graph, values, inputs, config, table, points)
+    # Levenberg-Marquardt
     params = gtsam.LevenbergMarquardtParams()
     params.setMaxIterations(config.iterations)
     params.setRelativeErrorTol(config.tolerance)

@@ -45,6 +45,7 @@ def covariances_with_loops(
             that nothing connects with the first one: δθ, then δp, both in the IMU frame.
         loops: Accepted loops.
     """
+    # Keyframes that loops reach
     reached: dict[int, list[RelativePose]] = defaultdict(list)
     for loop in loops:
         reached[loop.second].append(loop)
@@ -52,6 +53,7 @@ def covariances_with_loops(
             reached[loop.first].append(reversed_pose(loop))
     if not reached:
         return covariances
+    # Best path to each keyframe, in the order of time: as before, by a loop, or by the odometry
     best, steps = dict(covariances), {relative.second: relative for relative in graph.odometry}
     gravity = {direction.keyframe: direction for direction in graph.gravity}
     positions = {position.keyframe: position for position in graph.positions}
@@ -63,7 +65,7 @@ def covariances_with_loops(
         if number in positions:
             paths.append(with_position(paths[-1], positions[number], graph.poses[number]))
         best[number] = min(paths, key=position_variance)
-    # What the first loop of another track tells of the keyframes before it
+    # The first loop of another track also determines the keyframes before it
     for number in sorted(steps, reverse=True):
         step = steps[number]
         if is_unknown(best[step.first]):

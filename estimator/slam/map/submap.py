@@ -252,6 +252,7 @@ class Submap:
             following: The estimate of the keyframe after it.
         """
         graph, waiting = self.graph, self.graph.loops[self.tested_loops :]
+        # Odometry: one relative pose in place of the two at the keyframe
         before = next(relative for relative in graph.odometry if relative.second == number)
         after = next(relative for relative in graph.odometry if relative.first == number)
         _, merged = self._odometry_factors(previous, after.second, following)
@@ -260,10 +261,12 @@ class Submap:
         T = before.T_first_second @ after.T_first_second  # also where bundle adjustment has changed them
         relative = replace(merged.relative, T_first_second=T, covariance=covariance)
         odometry = tuple(relative if each is after else each for each in graph.odometry if each is not before)
+        # Gravity and position of the keyframe after it, by the merged factors
         gravity = [each for each in graph.gravity if each.keyframe not in (number, after.second)]
         gravity += [] if merged.gravity is None else [merged.gravity]
         positions = [each for each in graph.positions if each.keyframe not in (number, after.second)]
         positions += [] if merged.position is None else [merged.position]
+        # Loops: the accepted ones pass on to the keyframe before
         closed = self.closed_loops
         kept = [loop for loop in graph.loops[: self.tested_loops] if loop.second != number]
         room = MAX_PASSED_LOOPS - sum(loop.second == before.first for loop in kept)
@@ -272,6 +275,7 @@ class Submap:
         kept_waiting = [loop for loop in waiting if loop.second != number]
         loops = (*kept, *passed, *kept_waiting)
         accepted = {*closed, *passed}
+        # Graph without the keyframe, and the history with its last pose
         poses = {k: T for k, T in graph.poses.items() if k != number}
         culled = replace(
             graph,

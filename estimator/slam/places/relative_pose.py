@@ -138,10 +138,12 @@ class _Problem:
         gain = np.sqrt(1.0 + self._config.depth_sigma**2 * length2 / self._sigma**2)
         k = (1.0 - 1.0 / gain) / np.maximum(length2, 1e-300)
         weight = np.where(is_behind[:, None], 0.0, 1.0 / self._sigma)
+        # Residuals at the depths that explain them best, whitened by W
         residual = projected - self._xy - depth * scale
         variance = self._config.depth_sigma**2
         depth = -variance * np.sum(scale * residual, axis=1, keepdims=True) / (self._sigma**2 + variance * length2)
         residual = weight * (residual - k * scale * np.sum(scale * residual, axis=1, keepdims=True))
+        # Jacobian and errors, whitened by W
         along = (scale[:, None, :] @ J)[:, 0]
         J = weight[:, :, None] * (J - (k * scale)[:, :, None] * along[:, None, :])
         error = np.where(is_behind, MAX_ERROR, np.sqrt(0.5 * np.sum(residual * residual, axis=1)))
