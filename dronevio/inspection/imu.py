@@ -44,8 +44,8 @@ MAX_NOISE_RATIO = 30.0
 """Ratio of the noise at rest to the calibrated one up to which the odometry corrects the calibrated one by itself; with
 running motors, 10 is usual."""
 MIN_SPREAD_RATIO, MIN_SPREAD = 2.0, 0.5
-"""Ratio, and difference [(m/s²)²], by which wrong axes increase the variance of the levelled specific force over that with
-other axes. The acceleration of the vehicle is the same in both."""
+"""Ratio, and difference [(m/s²)²], by which wrong axes increase the variance of the levelled specific force
+over that with other axes. The acceleration of the vehicle is the same in both."""
 
 _UNITS = {1.0: "g", 1e3: "mg", 32.2: "ft/s²", 981.0: "cm/s²"}
 _NAMES = "xyz"
