@@ -26,7 +26,7 @@ hands and a hovering drone move more."""
 MIN_REST_S = 1.0
 """Shortest rest that is reported [s]."""
 VIBRATION_HZ = 20.0
-"""Frequency above which a drone does not move but vibrate [Hz]."""
+"""Frequency above which accelerations are vibration and not motion [Hz]."""
 SPECTRUM_SAMPLES = 256
 """Number of samples of a section of the spectrum."""
 ALLAN_SAMPLES = 8

@@ -1,4 +1,4 @@
-"""What is measured in the images of a recording, and how it relates to the IMU."""
+"""Measurements in the images of a recording, and their relation to the IMU."""
 
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -40,10 +40,10 @@ another flight reaches 0.2."""
 
 @dataclass(frozen=True, eq=False)
 class ImageSample:
-    """What the sampled frames show."""
+    """Measurements in the sampled frames."""
 
     frames: int
-    """Number of frames that were looked at."""
+    """Number of sampled frames."""
     t_ns: tuple[tuple[int, ...], ...]
     """Time stamps of `appearance` of each camera [ns]."""
     appearance: tuple[tuple[Appearance, ...], ...]
@@ -67,11 +67,11 @@ class Measured:
     """A recording with what was measured in it."""
 
     recording: Recording
-    """The recording that was looked at."""
+    """The recording."""
     sound_imu: ImuSamples
     """Its IMU samples without outliers."""
     sample: ImageSample
-    """What the sampled frames show."""
+    """Measurements in the sampled frames."""
     gyroscope: Gyroscope | None
     """The gyroscope; None for fewer than two samples."""
     rotations: Rotations
@@ -94,11 +94,11 @@ class Measured:
 
 
 def measure(recording: Recording, progress: Progress = silent) -> Measured:
-    """Return what is measured in the images of a recording, and how it relates to the IMU.
+    """Return the measurements in the images of a recording, and their relation to the IMU.
 
     Args:
         recording: The recording.
-        progress: Called with the number of frames that were looked at.
+        progress: Called with the number of frames that were sampled.
     """
     sample = _sampled(recording, progress)
     imu, outlying = recording.imu, outlying_samples(recording.imu, recording.rig.imu)
@@ -164,7 +164,7 @@ def _rotations(flows: Sequence[Flow]) -> Rotations:
 
 
 def _sampled(recording: Recording, progress: Progress) -> ImageSample:
-    """Look at the sampled frames of a recording."""
+    """Return the measurements in the sampled frames of a recording."""
     cameras = recording.rig.cameras
     runs = sampled_runs(recording.frame_times_ns) if cameras else []
     total, done = sum(map(len, runs)), 0

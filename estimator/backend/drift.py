@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 
 
 def with_rotation_error(prior: MarginalPrior, pivot_m: Array, sigma_rad: float) -> MarginalPrior:
-    """Return a prior whose variables have got a common error of rotation.
+    """Return a prior with an added common rotation error of its variables.
 
     Args:
         prior: The prior.

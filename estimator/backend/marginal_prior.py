@@ -147,7 +147,7 @@ class MarginalPrior:
         return MarginalPrior(H, b, self.states, {**self.points, **points})
 
     def with_common_error(self, J: Array) -> "MarginalPrior":
-        """Return the prior after its variables have got an error in common, about the same mean.
+        """Return the prior with an added error common to all variables; the mean is unchanged.
 
         The covariance P becomes P + J Jᵀ. By the Woodbury identity, this needs no inverse of the information.
 

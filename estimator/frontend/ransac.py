@@ -37,6 +37,7 @@ def epipolar_inliers(
     n = len(xy0)
     if n < MIN_MATCHES:
         return np.ones(n, dtype=np.bool_)
+    # Epipolar planes of the matches, with the rotation removed
     f0, f1 = _bearings(xy0) @ R_1_0.T, _bearings(xy1)
     normals = cross(f0, f1)
 
@@ -45,6 +46,7 @@ def epipolar_inliers(
     moving = np.flatnonzero(flow > 2.0 * threshold)
     if len(moving) < MIN_MATCHES:
         return np.asarray(flow < 4.0 * threshold)
+    # Hypotheses of the direction of translation by two matches each
     first = rng.integers(0, len(moving), HYPOTHESES)
     second = (first + rng.integers(1, len(moving), HYPOTHESES)) % len(moving)  # differs from the first
     t = cross(normals[moving[first]], normals[moving[second]])
@@ -52,6 +54,7 @@ def epipolar_inliers(
     is_defined = length > 1e-15  # parallel normals do not determine the direction of translation
     t = t / np.where(is_defined, length, 1.0)
 
+    # Largest consensus
     is_inlier = _agree(t, normals, f0, threshold) & is_defined
     best = int(np.argmax(is_inlier.sum(axis=1)))
     # Refinement on the consensus set: the direction most nearly orthogonal to all its normals.

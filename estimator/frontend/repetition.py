@@ -1,4 +1,4 @@
-"""Images that repeat the image before, although the vehicle moves: a camera or a driver that has stopped or stutters.
+"""Images that equal the previous one although the vehicle moves: a camera or a driver has stopped or stutters.
 
 Tracks on such an image claim that the vehicle does not move. It is therefore left out, as if the camera had no image.
 The noise of a camera makes each image differ from the one before, so that an equal image is a copy. While the vehicle

@@ -97,7 +97,7 @@ class ExposureCompensation:
 
     @staticmethod
     def lookahead_s(calibration: Calibration, image_delays_s: Array = NO_DELAYS_S) -> float:
-        """Return how much IMU data after the time of a frame is of use, by the delays of its images [s]."""
+        """Return the time after a frame for which IMU data are needed, by the delays of its images [s]."""
         middle_s = image_delays_s + calibration.camera_offsets_s
         last_row_s = float((middle_s + 0.5 * calibration.readouts_s).max()) + calibration.time_offset_correction_s
         return float(max(last_row_s, -calibration.rig.time_offset_s, 0.0))
@@ -200,7 +200,7 @@ class ExposureCompensation:
         return replace(estimate, t_ns=stamp_ns, state=state)
 
     def _camera_delays_s(self, calibration: Calibration) -> Array:
-        """Return how much later than the frame each camera (C,) is exposed in its middle row, if the clock is right."""
+        """Return the delays (C,) of the cameras' middle rows relative to the frame, if the clock is right [s]."""
         return self._image_delays_s + calibration.camera_offsets_s
 
     def _delays_s(self, calibration: Calibration, camera: Integers, row_px: Array) -> Array:

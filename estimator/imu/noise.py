@@ -60,7 +60,7 @@ MAX_NORMALIZED_SQUARE = 9.0
 
 @dataclass(frozen=True)
 class NoiseEstimationConfig(Settings):
-    """How the noise densities of the IMU are estimated."""
+    """Settings of the estimation of the IMU's noise densities."""
 
     memory: Annotated[float, Range(low=1.0, infinite=True)] = 50.0
     """Number of intervals between keyframes that are averaged, with exponential forgetting: about ten seconds."""

@@ -118,7 +118,7 @@ class OutlierFilter:
         return near
 
     def _accept(self, values: Array) -> None:
-        """Take readings (N, 2, 3) of one block for good."""
+        """Accept readings (N, 2, 3) of one block."""
         if not len(values):
             return
         self._differences = np.concatenate([self._differences, self._differences_of(values)])[-BLOCK:]

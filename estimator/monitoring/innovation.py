@@ -25,12 +25,12 @@ UNKNOWN_INFORMATION = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class PredictionUncertainty:
-    """How far a predicted state and the noise of image observations are uncertain."""
+    """Uncertainty of a predicted state and of image observations."""
 
     position_covariance: Array
     """(3, 3) Covariance of the position in the world frame since the newest keyframe [m²]."""
     rotation_variance: float
-    """Variance of the orientation about any axis since the newest keyframe [rad²]."""
+    """Variance of the orientation about each axis since the newest keyframe [rad²]."""
     image_variance_px2: float
     """Variance of the coordinates of an image observation whose patch is unchanged [px²]."""
 

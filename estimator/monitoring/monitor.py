@@ -25,7 +25,7 @@ IMAGE_VARIANCES = 10
 
 @dataclass(frozen=True)
 class _Since:
-    """What has constrained the estimate, and when."""
+    """Times at which the estimate was constrained."""
 
     constrained_ns: int
     """Last time at which more than the IMU constrained the estimate."""

@@ -1,10 +1,9 @@
-"""Whether a state is one that a vehicle can have after the last published one: the last check before publication.
+"""Plausibility of a state after the last published one: the last check before publication.
 
 The limits depend neither on the rig nor on the vehicle. The speed has a limit; between two published states, velocity
 and orientation change by no more than the IMU has measured, and the position by no more than these velocities explain.
 Corrections by landmarks come on top: they are allowed in proportion to the standard deviations, up to a few metres.
-What exceeds this is no estimate of a flight, whatever its covariance claims, but the result of measurements that do not
-belong together.
+A larger change is no estimate of a flight, whatever its covariance, but the result of inconsistent measurements.
 """
 
 from dataclasses import dataclass

@@ -163,6 +163,7 @@ class _Mapper:
             # An image that failed is tried again when it sees a quarter more points.
             candidates = available & ~state.is_registered & (visible >= config.resection.min_inliers)
             candidates &= (4 * visible > 5 * failed_at) & (discards < MAX_DISCARDS)
+            # Registration of the image that sees most, and triangulation of what it adds
             if candidates.any():
                 image = int(np.argmax(np.where(candidates, score, -1.0)))
                 registered = self._register(state, image)
@@ -176,6 +177,7 @@ class _Mapper:
                     state = self._discard(self._refine(state), discards)
                     adjusted_images = count
                 continue
+            # Without a candidate, global adjustment of what is new, or the end
             count = int(state.is_registered.sum())
             if count == adjusted_images and (is_last or not (discards >= MAX_DISCARDS).any()):
                 return state

@@ -33,6 +33,7 @@ def resect(points: Array, bearings: Array, focal_px: float, config: ResectionCon
         focal_px: Focal length, the scale between angles and pixels [px].
         config: Thresholds.
     """
+    # RANSAC on a pinhole image of the rays near the axis
     is_central = bearings[:, 2] > np.cos(MAX_PINHOLE_RAD)
     if is_central.sum() < max(config.min_inliers, 6):
         return None
@@ -53,6 +54,7 @@ def resect(points: Array, bearings: Array, focal_px: float, config: ResectionCon
         return None
     if not is_solved or r is None:
         return None
+    # Refinement by all rays
     R_cam_world = exp_so3(np.asarray(r, np.float64).reshape(3))
     T = pose_matrix(R_cam_world.T, -R_cam_world.T @ np.asarray(t, np.float64).reshape(3))
     threshold_rad = config.max_error_px / focal_px

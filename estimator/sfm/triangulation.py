@@ -57,6 +57,7 @@ def triangulate_tracks(
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     threshold_rad = config.max_error_px / focal_px
 
+    # RANSAC over pairs of rays, for all tracks together
     best_points = np.full((len(counts), 3), np.nan)
     best_score = np.zeros(len(counts))
     for number in range(HYPOTHESES):
@@ -71,6 +72,7 @@ def triangulate_tracks(
         better = (score > best_score) & np.isfinite(points[:, 0])
         best_points[better], best_score[better] = points[better], score[better]
 
+    # Refinement by the inliers, in weighted least squares
     points = best_points
     for _ in range(REFINEMENTS):
         is_inlier = _angles(points[track], origins, rays) < threshold_rad
@@ -78,6 +80,7 @@ def triangulate_tracks(
         weights = np.where(is_inlier, 1.0 / np.maximum(distance, 1e-12) ** 2, 0.0)
         points = _nearest_points(starts, origins, rays, np.nan_to_num(weights))
     is_inlier = _angles(points[track], origins, rays) < threshold_rad
+    # Points with two inliers under a sufficient angle
     enough = np.add.reduceat(is_inlier.astype(np.int64), starts) >= 2
     wide = widest_angles(track, starts, points, origins, is_inlier) >= np.radians(config.min_angle_deg)
     accepted = enough & wide

@@ -95,6 +95,7 @@ def verify(
     """
     if len(matches) < config.min_inliers:
         return None
+    # Rays of the matched features
     a, b = views
     f0, f1 = a.bearings[matches[:, 0]], b.bearings[matches[:, 1]]
     is_defined = np.isfinite(f0).all(axis=1) & np.isfinite(f1).all(axis=1)
@@ -102,6 +103,7 @@ def verify(
     focal_px = min(a.focal_px, b.focal_px)
     threshold_rad = config.max_error_px / focal_px
 
+    # Essential matrix; without a calibration, of the inliers of a fundamental matrix
     if a.is_calibrated and b.is_calibrated:
         E = _essential(f0, f1, focal_px, config)
         if E is None:
@@ -115,6 +117,7 @@ def verify(
         return None
     matches, f0, f1 = matches[is_inlier], f0[is_inlier], f1[is_inlier]
 
+    # Relative pose, which a pure rotation does not have
     geometry, R_rotation = _classify(E, f0, f1, focal_px, config)
     if geometry is Geometry.ROTATION:
         T = pose_matrix(R_rotation.T, np.zeros(3))

@@ -14,7 +14,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What the map tells the odometry."""
+    """Correction of the odometry by the map."""
 
     T_map_odom: Array | None
     """(4, 4) Pose of the odometry frame in the map frame at the anchor; None where the submap is not joined."""
@@ -33,7 +33,7 @@ class Correction:
     tested_loops: int = 0
     """Number of loops of the submap that an optimization has accepted or rejected."""
     events: tuple[str, ...] = ()
-    """What became of a bundle adjustment, for users."""
+    """Outcome of a bundle adjustment, as text for users."""
 
     def covariance_at(self, state: NavState) -> Array | None:
         """Return the covariance (6, 6) of a later pose of the same track in the map frame.

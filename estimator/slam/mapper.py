@@ -51,7 +51,7 @@ MAX_CONNECTED = 1000
 CONNECTED_WITHIN_S = 1.0
 """Time between a redundant keyframe and a loop that connects it with the earlier visit [s]."""
 MIN_MAP_KEYFRAMES = 5
-"""Number of keyframes below which a map is given up when the odometry is lost: the next track begins another one."""
+"""Number of keyframes below which a map is discarded when the odometry is lost: the next track begins another one."""
 
 
 class Recognizer(Protocol):

@@ -93,6 +93,7 @@ def _matches(
     config: CompletionConfig,
 ) -> Indices:
     """Return the tracks and the features (K, 2) of an image that belong together."""
+    # Points that the image should show, at a distance at which their descriptors hold
     T, camera = state.Ts_world_cam[image], state.cameras[scene.image_camera[image]]
     relative = state.points[tracks] - T[:3, 3]
     distance = np.linalg.norm(relative, axis=1)
@@ -105,6 +106,7 @@ def _matches(
     tracks, projected = tracks[kept], projected[kept]
     if len(tracks) == 0 or len(free) == 0:
         return np.empty((0, 2), np.int64)
+    # Free features near their projections, with similar descriptors
     count = min(CANDIDATES, len(free))
     distance, nearest = cKDTree(features.pixels[free]).query(
         projected, count, distance_upper_bound=config.guided_error_px

@@ -1,7 +1,7 @@
 """Bundle adjustment of a map during the flight, in a process of its own or in that of the map.
 
-It takes many times longer than the interval between two keyframes, so that its result takes effect a number of
-keyframes later, which depends on numbers of keyframes alone (`schedule`).
+It takes many times the interval between two keyframes. Its result takes effect a number of keyframes later, which
+depends on numbers of keyframes alone (`schedule`).
 """
 
 import os
@@ -36,7 +36,7 @@ class AdjustmentOutcome:
     poses: Mapping[int, Array] | None
     """Adjusted poses (4, 4) by the numbers of the keyframes; None if the adjusted map is not used."""
     text: str
-    """What has determined the scale, or why the adjusted map is not used."""
+    """Source of the scale, or the reason why the adjusted map is not used."""
 
 
 class Adjuster(Protocol):

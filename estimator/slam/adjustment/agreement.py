@@ -29,7 +29,7 @@ GYRO_BIAS_SIGMA_RAD_S, ACCEL_BIAS_SIGMA_M_S2 = 0.002, 0.02
 MIN_LENGTH_M = 5.0
 """Shortest path on which scales are compared [m]."""
 MIN_DISTANCE_M = 1.0
-"""Distance from the first keyframe from which on a keyframe tells how well the odometry knows its scale [m]."""
+"""Smallest distance from the first keyframe at which a keyframe bounds the error of scale of the odometry [m]."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Difference:
     sigma: float
     """Joint standard deviation of the difference."""
     other: str = "that of the odometry"
-    """With what the quantity is compared."""
+    """Reference of the comparison."""
 
     @property
     def agrees(self) -> bool:

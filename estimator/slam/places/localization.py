@@ -153,6 +153,7 @@ class Localizer:
             T_match_query: (4, 4) Predicted pose of the query's IMU in the IMU frame of the match.
         """
         c, rig = self._config, images.rig
+        # Patches of the match, aligned with the images of the query
         in_view = [self._in_view(patches, index, images, T_match_query) for index in range(len(rig.cameras))]
         aligned = [self._aligned(patches, images.images[i], rig.cameras[i].model, *v) for i, v in enumerate(in_view)]
         rows = np.concatenate([each[0] for each in aligned])
@@ -160,6 +161,7 @@ class Localizer:
         min_count = max(c.min_inliers, c.min_view_ratio * sum(len(each[0]) for each in in_view))
         if len(rows) < min_count:
             return None
+        # Relative pose by the aligned landmarks
         camera = patches.camera[rows]
         old = Correspondences(patches.landmark[rows], patches.points_imu[rows], camera, xy, camera)
         new = old[np.zeros(0, np.int64)]
@@ -169,6 +171,7 @@ class Localizer:
         fit = refine(T_match_query, old, new, views, c.pose)
         if fit is None:
             return None
+        # Tests of the result: inliers and certainty
         error, _ = whitened_errors(fit.T_match_query, old, new, views, c.pose)
         agrees = error < c.max_error_sigmas
         if agrees.sum() < min_count or agrees.mean() < c.min_inlier_ratio:

@@ -8,8 +8,8 @@ Landmarks are not exact either, mainly in their depth. Each depth has an error o
 prior and is eliminated from each step: the residual is that at zero error, with the covariance σ² I + ρ² s sᵀ, where s
 is the derivative of the projection by the error and ρ its standard deviation. The linearization is at the estimated
 error, since at zero error the derivatives would be correlated with the residuals, and the estimate biased. In addition,
-all depths of a keyframe have an error in common, as that of the scale of a single camera, whose effect on the pose is
-added to its covariance.
+all depths of a keyframe share an error, as that of the scale of a single camera, whose effect on the pose is added to
+its covariance.
 """
 
 from dataclasses import dataclass

@@ -118,9 +118,11 @@ def verify(query: MapKeyframe, match: MapKeyframe, rig: Rig, config: Verificatio
         config: Settings.
     """
     c = config
+    # Landmarks of each keyframe, matched in the other one
     old, new = match_landmarks(match, query, c.matching), match_landmarks(query, match, c.matching)
     if not _are_enough(len(old), len(new), c):
         return Rejection("matches")
+    # RANSAC with two points and gravity
     Ts_imu_cam = np.stack([camera.T_imu_cam for camera in rig.cameras])
     focal_px = np.array([camera.model.central_focal_px[0] for camera in rig.cameras])
     views = Views(Ts_imu_cam, focal_px, match.T_odom_imu[:3, :3], query.T_odom_imu[:3, :3])
@@ -129,10 +131,12 @@ def verify(query: MapKeyframe, match: MapKeyframe, rig: Rig, config: Verificatio
     consensus = _consensus(old, new, views, depth_m, rng, c)
     if isinstance(consensus, Rejection):
         return consensus
+    # Pose by all inliers
     refined = _refined(consensus, old, new, views, c)
     if refined is None:
         return Rejection("inliers")
     pose, is_old, is_new = refined
+    # Tests of the result: support, gravity, distance, certainty, and each keyframe's landmarks by themselves
     inliers = int(is_old.sum()), int(is_new.sum())
     if not _are_enough(*inliers, c) or sum(inliers) < c.min_inlier_ratio * (len(old) + len(new)):
         return Rejection("inliers")

@@ -1,4 +1,4 @@
-"""What the odometry sends to its map, and the map that answers in the process of the odometry.
+"""Messages of the odometry to its map, and a map in the process of the odometry.
 
 `VisualSlam` sends one message for each keyframe that leaves the window, and receives one answer to each message, in the
 same order. Who answers is an `OdometryMap`: `LocalMap` at once and in the same process, `MapProcess` meanwhile and in
@@ -77,12 +77,12 @@ class TrackLost:
 
 
 MapMessage = WindowKeyframe | MarginalizedKeyframe | TrackLost
-"""What the odometry sends to its map."""
+"""A message of the odometry to its map."""
 
 
 @dataclass(frozen=True)
 class MapCost:
-    """What the map has cost beside the odometry."""
+    """Cost of the map beside that of the odometry."""
 
     frames: int
     """Number of frames of the odometry."""

@@ -79,7 +79,7 @@ class BagRecording:
     complete: bool = True
     """Whether the recording is complete; a truncated bag cannot be opened."""
     repair: bool = False
-    """Whether frames go without images that are damaged; otherwise these raise an error."""
+    """Whether damaged images are left out of their frames; otherwise they raise an error."""
     defects: tuple[Defect, ...] = field(default=(), repr=False)
     """Defects that were found when the bag was opened with `repair`."""
     later: tuple["BagRecording", ...] = field(default=(), repr=False)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.slam import visual_slam
+from dronevio.estimator.slam import final_map, visual_slam
 from dronevio.estimator.slam.adjustment.adjuster import AdjustmentOutcome, LocalAdjuster
 from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentConfig, AdjustmentInputs
 from dronevio.estimator.slam.adjustment.final_graph import at_optimum
@@ -168,7 +168,7 @@ def test_a_flight_in_a_loaded_map_is_adjusted_in_the_end(monkeypatch: pytest.Mon
         poses = {n: pose_matrix(T[:3, :3], T[:3, 3] + (n in of_flight) * up) for n, T in inputs.poses.items()}
         return AdjustmentOutcome(poses, "raised")
 
-    monkeypatch.setattr(visual_slam, "solved", raised)
+    monkeypatch.setattr(final_map, "solved", raised)
     slam, _ = fly(monkeypatch, range(PLACES), lap_map(), localize_only=localize_only, with_imu=True)
     final = slam.final_map()
     (inputs,) = started
