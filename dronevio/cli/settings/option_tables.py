@@ -104,6 +104,7 @@ DENSE: OptionTable = MappingProxyType(
         "depth.directions": "Oblique surfaces such as floors are incomplete (increase it), or time counts (0).",
         "consistency.min-views": "There are few images of each surface (decrease it), or too many wrong points"
         " (increase it).",
+        "spacing-px": "The points take too much memory (increase it), or should be denser (decrease it).",
         "mesh.voxel": "The mesh has to have a given resolution, in the unit of the reconstruction.",
         "mesh.max-voxels": "A large scene needs finer voxels, and the memory suffices: increase it.",
         "mesh.min-triangles": "Small separate objects are missing (decrease it), or specks float about (increase it).",
