@@ -165,9 +165,9 @@ def settings_page() -> str:
     lines = [
         "# All settings",
         "",
-        "`--set NAME=VALUE` and `--settings FILE` change them; [Change settings](../../how-to/tune.md) tells how, and when"
-        " to change those that are options. `estimate` has the settings of the estimator and of the map, too, and `fly`"
-        " those of the scenario, whose defaults here are those of the scenario room.",
+        "`--set NAME=VALUE` and `--settings FILE` change them; [Change settings](../../how-to/tune.md) tells how, and"
+        " when to change those that are options. `estimate` has the settings of the estimator and of the map,"
+        " too, and `fly` those of the scenario, whose defaults here are those of the scenario room.",
         "",
     ]
     for name in ("run", "sfm", "dense"):

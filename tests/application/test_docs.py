@@ -263,10 +263,9 @@ def test_reference_explains_all_settings(script: Any) -> None:
 
 @pytest.mark.parametrize("page", PAGES)
 def test_settings_that_pages_change_exist(page: str) -> None:
-    known = {
-        name for command in (RunCommand, EstimateCommand, SfmCommand, DenseCommand) for name in settings_of(command)
-    }
-    assert {name for name in re.findall(r"--set ([a-z][\w.-]*)=", text_of(page))} <= known
+    commands = (RunCommand, EstimateCommand, SfmCommand, DenseCommand)
+    known = {name for command in commands for name in settings_of(command)}
+    assert set(re.findall(r"--set ([a-z][\w.-]*)=", text_of(page))) <= known
 
 
 def test_options_in_the_reference_are_those_of_the_help(script: Any) -> None:

@@ -64,8 +64,6 @@ MAP: OptionTable = MappingProxyType(
         "places.verification.min-total-inliers": "Scenes that repeat give wrong loops (increase it), or loops are"
         " missed where there is little texture (decrease it).",
         "places.verification.max-distance-m": "Scenes are larger than rooms, as in high flights: increase it.",
-        "mapping.localization-interval-s": "The map takes too much time (increase it), or should have more loops"
-        " (decrease it).",
         "adjustment.rig-rotation-sigma-deg": "Several cameras whose relative orientation is exact (0) or poorly known.",
         "adjustment-schedule.enabled": "Only the map after the flight counts: turn it off to adjust it just once.",
         "correction-delay.initial-s": "The odometry waits for the map on a slow computer (increase it), or corrections"
