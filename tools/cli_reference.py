@@ -1,4 +1,5 @@
-"""Write the command-line reference: one Markdown page per command, from what the command prints with --help-all.
+"""Write the command-line reference: one Markdown page per command, from what the command prints with --help-all, and
+one of all settings.
 
 The commands are found by their help texts: a block of indented ``name  summary`` lines lists subcommands.
 """
@@ -16,6 +17,10 @@ from unittest.mock import patch
 PROGRAM = "dronevio"
 COLUMNS = 99
 """Width of the help texts. Up to this width, tyro prints its groups of options below each other."""
+
+
+ALL_SETTINGS = "all-settings.md"
+"""File name of the page of all settings."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +157,26 @@ def page(command: Command) -> str:
     return "\n".join(lines)
 
 
+def settings_page() -> str:
+    """Return the Markdown page of all settings, those of ``run`` first."""
+    from dronevio.cli.commands.settings import command_named
+    from dronevio.cli.settings.listing import listed_settings
+
+    lines = [
+        "# All settings",
+        "",
+        "`--set NAME=VALUE` and `--settings FILE` change them; [Change settings](../../how-to/tune.md) tells how, and"
+        " when to change those that are options. `estimate` has the settings of the estimator and of the map,"
+        " too, and `fly` those of the scenario, whose defaults here are those of the scenario room.",
+        "",
+    ]
+    for name in ("run", "sfm", "dense"):
+        lines += [f"## {PROGRAM} {name}", ""]
+        for each in listed_settings(*command_named(name)):
+            lines += [f"`{each.field.name} = {each.toml}`", f":   {markdown(each.text)}", ""]
+    return "\n".join(lines)
+
+
 def markdown(text: str) -> str:
     """Return help text with the characters escaped that Markdown would read; code in backticks stays as it is."""
     text = re.sub(r"\((default|required)\b:? ?([^()]*)\)$", _default, text)
@@ -170,7 +195,10 @@ def write(folder: Path) -> list[Path]:
     """Write the pages of all commands, and SUMMARY.md, which orders them; files that would not change are left."""
     found = commands()
     contents = {command.page: page(command) for command in found}
-    contents["SUMMARY.md"] = "".join(f"* [{' '.join(c.words) or PROGRAM}]({c.page})\n" for c in found)
+    contents[ALL_SETTINGS] = settings_page()
+    entries = [(" ".join(command.words) or PROGRAM, command.page) for command in found]
+    entries.append(("all settings", ALL_SETTINGS))
+    contents["SUMMARY.md"] = "".join(f"* [{title}]({name})\n" for title, name in entries)
     return write_changed(folder, contents)
 
 

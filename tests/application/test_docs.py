@@ -15,6 +15,11 @@ import yaml
 
 import dronevio
 from dronevio.cli import main
+from dronevio.cli.commands.dense import DenseCommand
+from dronevio.cli.commands.estimate import EstimateCommand
+from dronevio.cli.commands.run import RunCommand
+from dronevio.cli.commands.sfm import SfmCommand
+from dronevio.cli.settings.named_fields import named_fields, settings_of
 from dronevio.cli.terminal import HELP_ALL
 from dronevio.estimators.registry import ESTIMATORS
 from dronevio.eval.benchmark.rows import read_rows, write_rows
@@ -247,12 +252,29 @@ def test_reference_has_a_page_for_every_command(script: Any, tmp_path: Path) -> 
     assert "`--seed INT`\n:   " in (tmp_path / "fly.md").read_text(encoding="utf-8")
 
 
+def test_reference_explains_all_settings(script: Any) -> None:
+    page = script("cli_reference").settings_page()
+    for command in (RunCommand, SfmCommand, DenseCommand):
+        missing = [name for name in settings_of(command) if page.count(f"`{name} = ") == 0]
+        assert missing == []
+    assert page.count("\n:   ") > 390
+    assert "`estimator.smoother.min-parallax-px = 5.0`\n:   Smallest median displacement" in page
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_settings_that_pages_change_exist(page: str) -> None:
+    commands = (RunCommand, EstimateCommand, SfmCommand, DenseCommand)
+    known = {name for command in commands for name in settings_of(command)}
+    assert set(re.findall(r"--set ([a-z][\w.-]*)=", text_of(page))) <= known
+
+
 def test_options_in_the_reference_are_those_of_the_help(script: Any) -> None:
     reference = script("cli_reference")
     command = next(c for c in reference.commands() if c.words == ("estimate",))
     listed = {word for group in reference.groups(command.help) for name, _ in group.options for word in name.split()}
     typed = set(re.findall(r"^│ (--[\w.-]+)", command.help, re.MULTILINE))
-    assert len(typed) > 100
+    named = {f"--{each.name}" for each in named_fields(EstimateCommand) if each.is_option and each.name != "recording"}
+    assert len(typed) > 50 and {word.replace(".no-", ".") for word in typed} == named | {"--set", "--settings"}
     assert typed <= {word.rstrip(",") for word in listed}
 
 

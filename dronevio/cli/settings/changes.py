@@ -138,7 +138,8 @@ def _stored(command: type, path: Path, document: Any) -> dict[str, Any]:
     if not isinstance(configuration, dict) or "dronevio" not in configuration:
         raise InputError(path, "no settings of a run", "its configuration.json, or a TOML file with settings")
     found: dict[str, Any] = {}
-    for field in dataclasses.fields(command):
+    groups = {setting.path[0] for setting in settings_of(command).values()}
+    for field in (each for each in dataclasses.fields(command) if each.name in groups):
         stored = configuration.get(STORED_NAMES.get(field.name, field.name))
         if isinstance(stored, dict):
             is_root = OPTIONS in field.metadata and any(

@@ -64,8 +64,6 @@ MAP: OptionTable = MappingProxyType(
         "places.verification.min-total-inliers": "Scenes that repeat give wrong loops (increase it), or loops are"
         " missed where there is little texture (decrease it).",
         "places.verification.max-distance-m": "Scenes are larger than rooms, as in high flights: increase it.",
-        "mapping.localization-interval-s": "The map takes too much time (increase it), or should have more loops"
-        " (decrease it).",
         "adjustment.rig-rotation-sigma-deg": "Several cameras whose relative orientation is exact (0) or poorly known.",
         "adjustment-schedule.enabled": "Only the map after the flight counts: turn it off to adjust it just once.",
         "correction-delay.initial-s": "The odometry waits for the map on a slow computer (increase it), or corrections"
@@ -104,6 +102,7 @@ DENSE: OptionTable = MappingProxyType(
         "depth.directions": "Oblique surfaces such as floors are incomplete (increase it), or time counts (0).",
         "consistency.min-views": "There are few images of each surface (decrease it), or too many wrong points"
         " (increase it).",
+        "spacing-px": "The points take too much memory (increase it), or should be denser (decrease it).",
         "mesh.voxel": "The mesh has to have a given resolution, in the unit of the reconstruction.",
         "mesh.max-voxels": "A large scene needs finer voxels, and the memory suffices: increase it.",
         "mesh.min-triangles": "Small separate objects are missing (decrease it), or specks float about (increase it).",

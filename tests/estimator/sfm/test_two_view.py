@@ -3,11 +3,12 @@
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 import pytest
 
-from dronevio.estimator.sfm.config import MatchingConfig, VerificationConfig
-from dronevio.estimator.sfm.features import Features
+from dronevio.estimator.sfm.config import FeatureConfig, MatchingConfig, VerificationConfig
+from dronevio.estimator.sfm.features import Features, detect_features
 from dronevio.estimator.sfm.matching import match_features
 from dronevio.estimator.sfm.two_view import Geometry, TwoView, verify, view_of
 from dronevio.models.camera import CameraModel
@@ -55,6 +56,19 @@ def test_ambiguous_features_are_not_matched(scene: "SyntheticScene") -> None:
     first, second = scene.features[0], scene.features[1]
     assert len(match_features(first, second, MatchingConfig())) > 100
     assert len(match_features(first, doubled(second), MatchingConfig())) == 0
+
+
+def test_a_stricter_ratio_leaves_fewer_matches(scene: "SyntheticScene") -> None:
+    counts = [len(match_features(*scene.features[:2], MatchingConfig(ratio=ratio))) for ratio in (0.01, 0.8)]
+    assert counts[0] < counts[1]
+
+
+def test_settings_change_the_number_of_features() -> None:
+    shades = cv2.resize(np.random.default_rng(0).normal(size=(40, 50)), (500, 400), interpolation=cv2.INTER_CUBIC)
+    image = np.clip(128.0 + 6.0 * shades, 0, 255).astype(np.uint8)
+    default = len(detect_features(image, FeatureConfig()))
+    assert len(detect_features(image, FeatureConfig(max_features=50))) < default
+    assert len(detect_features(image, FeatureConfig(contrast_threshold=0.005))) > default > 50
 
 
 def test_no_feature_is_matched_twice(scene: "SyntheticScene") -> None:

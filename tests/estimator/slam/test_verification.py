@@ -215,6 +215,8 @@ def test_uncertain_and_distant_poses_are_rejected() -> None:
     uncertain = replace(CONFIG, pose=replace(CONFIG.pose, pixel_sigma=30.0))
     assert verify(query, match, RIG, uncertain) == Rejection("covariance")
     assert verify(query, match, RIG, replace(CONFIG, max_distance_m=0.2)) == Rejection("distance")
+    assert isinstance(verify(query, match, RIG, CONFIG), PlaceMatch)
+    assert verify(query, match, RIG, replace(CONFIG, min_total_inliers=2000)) == Rejection("matches")
 
 
 def test_landmarks_of_one_camera_are_found_in_another() -> None:
