@@ -360,23 +360,15 @@ class KeyframeSmoother:
 
     def _gauss_newton(self) -> CholeskyFactor:
         """Optimize the window by a few steps and return the factor of the last linear system."""
-        c, window = self._config, self._window
-        step = gauss_newton(
-            window.objective,
-            window.estimate,
-            CholeskyFactor,
-            c.iterations,
-            is_last=lambda step: step.decrement < c.max_decrement,
-        )
+        window, iterations, last = self._window, self._config.iterations, self._config.max_decrement
+        step = gauss_newton(window.objective, window.estimate, CholeskyFactor, iterations, lambda s: s.decrement < last)
         window.estimate = step.x
         return step.factor
 
     def _levenberg_marquardt(self) -> CholeskyFactor:
         """Optimize the window by Levenberg-Marquardt and return the factor of the linear system at the minimum."""
-        window = self._window
-        minimum = levenberg_marquardt(
-            window.objective, window.estimate, CholeskyFactor, self._config.initial_iterations
-        )
+        window, iterations = self._window, self._config.initial_iterations
+        minimum = levenberg_marquardt(window.objective, window.estimate, CholeskyFactor, iterations)
         window.estimate = minimum.x
         return CholeskyFactor(minimum.equations.H)
 

@@ -74,9 +74,9 @@ class CalibrationEquations:
     """Normal equations of K keyframes, the biases and E corrections, n = 9 K + 6 + E; landmarks are eliminated."""
 
     H: Array
-    """(n, n) Information matrix."""
+    """(n, n) Information matrix, without the landmarks."""
     b: Array
-    """(n,) Right-hand side."""
+    """(n,) Right-hand side, the negative gradient."""
     x: CalibrationEstimate
     """The variables at which they are linearized."""
     estimated: Integers

@@ -29,7 +29,7 @@ class Step(Generic[X, F]):
     x: X
     """Variables after the step."""
     delta: Array
-    """(n,) The step."""
+    """(n,) Step in the tangent space."""
     decrement: float
     """Squared length of the step in standard deviations, δᵀHδ: twice the decrease that the quadratic model predicts."""
     factor: F

@@ -66,7 +66,7 @@ class LeastNormFactor:
     """A symmetric matrix that may be singular; solutions are those of the least norm."""
 
     H: Array
-    """(n, n) The matrix."""
+    """(n, n) Matrix of the linear system."""
 
     def solve(self, b: Array) -> Array:
         """Return H⁺ b for b of shape (n,)."""
@@ -78,7 +78,7 @@ class LUFactor:
     """A matrix that is regular but need not be positive definite."""
 
     H: Array
-    """(n, n) The matrix."""
+    """(n, n) Matrix of the linear system."""
 
     def solve(self, b: Array) -> Array:
         """Return H⁻¹ b for b of shape (n,).

@@ -18,7 +18,7 @@ class LinearFit:
     """The posterior of the unknowns."""
 
     solution: Array
-    """(n,) Estimates."""
+    """(n,) Estimates of the unknowns."""
     covariance: Array
     """(n, n) Covariance of the estimates."""
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.optimization.gauss_newton import gauss_newton
+from dronevio.estimator.optimization.gauss_newton import Step, gauss_newton
 from dronevio.estimator.optimization.linalg import LeastNormFactor
 from dronevio.estimator.optimization.robust import cauchy_inflation, cauchy_loss
 from dronevio.estimator.sfm.bearings import angles_between_rad, tangent_bases
@@ -75,13 +75,11 @@ def refine_pose(T_world_cam: Array, points: Array, bearings: Array, scale_rad: f
         scale_rad: Scale of the Cauchy loss [rad].
     """
     objective = ResectionObjective(points, bearings, scale_rad)
-    return gauss_newton(
-        objective,
-        T_world_cam,
-        LeastNormFactor,
-        GAUSS_NEWTON_STEPS,
-        is_last=lambda step: float(np.linalg.norm(step.delta[:3])) < MIN_STEP_RAD,
-    ).x
+    return gauss_newton(objective, T_world_cam, LeastNormFactor, GAUSS_NEWTON_STEPS, _is_short).x
+
+
+def _is_short(step: Step[Array, LeastNormFactor]) -> bool:
+    return float(np.linalg.norm(step.delta[:3])) < MIN_STEP_RAD
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +89,7 @@ class PoseEquations:
     H: Array
     """(6, 6) Information matrix of rotation and translation, both in the camera frame."""
     b: Array
-    """(6,) Right-hand side."""
+    """(6,) Right-hand side, the negative gradient."""
     x: Array
     """(4, 4) Pose of the camera in the world frame."""
     scales: npt.NDArray[np.bool_]

@@ -124,13 +124,13 @@ class PoseEquations:
     H: Array
     """(6, 6) Information matrix of δθ (right) and δp."""
     b: Array
-    """(6,) Right-hand side."""
+    """(6,) Right-hand side, the negative gradient."""
     x: PoseEstimate
     """The variables at which they are linearized."""
     scales: DepthScales
     """Covariances of the residuals."""
     J: Array
-    """(N, 2, 6) Whitened Jacobians."""
+    """(N, 2, 6) Whitened Jacobians by δθ and δp."""
     by_scale: Array
     """(N, 2) Whitened derivatives by the logarithm of the common scale of the landmarks."""
     error: Array
@@ -262,14 +262,9 @@ def refine(
         config: Assumed errors.
     """
     objective = RelativePoseObjective(old, new, views, config)
+    initial = objective.initial(T_match_query)
     try:
-        x = gauss_newton(
-            objective,
-            objective.initial(T_match_query),
-            LUFactor,
-            config.iterations,
-            is_last=lambda step: float(np.abs(step.delta).max()) < MIN_STEP,
-        ).x
+        x = gauss_newton(objective, initial, LUFactor, config.iterations, lambda s: np.abs(s.delta).max() < MIN_STEP).x
     except SingularError:
         return None
     equations = objective.linearize(x)
