@@ -14,7 +14,7 @@ help:
 	@echo "make setup                   only set up; the others do it too"
 
 setup:
-	@scripts/setup.sh
+	@tools/setup.sh
 
 run: setup
 	@.venv/bin/dronevio run $(ARGS)
@@ -32,27 +32,27 @@ format: setup
 
 types: setup
 	.venv/bin/mypy
-	.venv/bin/mypy --explicit-package-bases scripts tests
+	.venv/bin/mypy --explicit-package-bases benchmarks tools tests
 
 contracts: setup
 	.venv/bin/lint-imports
 
 docs: setup
-	@scripts/docs.sh build --strict
+	@tools/docs.sh build --strict
 
 docs-serve: setup
-	@scripts/docs.sh serve --dev-addr 127.0.0.1:8000
+	@tools/docs.sh serve --dev-addr 127.0.0.1:8000
 
 lessons: setup
-	@scripts/uv sync --locked --quiet --inexact --group lessons </dev/null
-	.venv/bin/python scripts/lessons.py $(ARGS)
+	@tools/uv sync --locked --quiet --inexact --group lessons </dev/null
+	.venv/bin/python tools/lessons.py $(ARGS)
 
 pictures: setup
 	rm -rf build/pictures
-	.venv/bin/python scripts/seeds.py --write --keep build/pictures
-	.venv/bin/python scripts/dense_picture.py
-	.venv/bin/python scripts/environment_pictures.py
-	.venv/bin/python scripts/pictures.py --run build/pictures/0
+	.venv/bin/python tools/seeds.py --write --keep build/pictures
+	.venv/bin/python tools/dense_picture.py
+	.venv/bin/python tools/environment_pictures.py
+	.venv/bin/python tools/pictures.py --run build/pictures/0
 
 seeds: setup
-	@.venv/bin/python scripts/seeds.py $(ARGS)
+	@.venv/bin/python tools/seeds.py $(ARGS)

@@ -19,12 +19,12 @@ from dronevio._lazy import attach
 
 if TYPE_CHECKING:
     from dronevio.api import dense, estimate, fly, fly_on_estimate, sfm
-    from dronevio.driver import estimate_recording
     from dronevio.estimator.config import VioConfig
     from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
+    from dronevio.estimator.odometry import VisualInertialOdometry
     from dronevio.estimator.slam.config import SlamConfig
     from dronevio.estimator.slam.visual_slam import VisualSlam
-    from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.estimators.driver import estimate_recording
     from dronevio.eval.metrics.scores import ScoredTrajectory, Scores
     from dronevio.eval.run import EstimatorRun
     from dronevio.evaluation import ate, evaluate
@@ -98,12 +98,12 @@ __getattr__, __dir__ = attach(
     __name__,
     {
         "dronevio.api": ("dense", "estimate", "fly", "fly_on_estimate", "sfm"),
-        "dronevio.driver": ("estimate_recording",),
+        "dronevio.estimators.driver": ("estimate_recording",),
         "dronevio.estimator.config": ("VioConfig",),
         "dronevio.estimator.imu.forward_propagation": ("ImuRatePropagator",),
         "dronevio.estimator.slam.config": ("SlamConfig",),
         "dronevio.estimator.slam.visual_slam": ("VisualSlam",),
-        "dronevio.estimator.vio": ("VisualInertialOdometry",),
+        "dronevio.estimator.odometry": ("VisualInertialOdometry",),
         "dronevio.eval.metrics.scores": ("ScoredTrajectory", "Scores"),
         "dronevio.eval.run": ("EstimatorRun",),
         "dronevio.evaluation": ("ate", "evaluate"),

@@ -6,17 +6,17 @@
 from dataclasses import replace
 from pathlib import Path
 
-from dronevio.driver import TimedEstimator, estimate_recording
 from dronevio.estimator.array_store import ArrayStore
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.dense.config import DenseConfig
 from dronevio.estimator.dense.pipeline import DenseResult, densify
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.sfm.config import SfmConfig
 from dronevio.estimator.sfm.model import KnownPoses
 from dronevio.estimator.sfm.pipeline import SfmResult, reconstruct
 from dronevio.estimator.sfm.workspace import Workspace
 from dronevio.estimator.slam.visual_slam import VisualSlam
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimators.driver import TimedEstimator, estimate_recording
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.image_sets import ImageSet, open_images, with_earlier
@@ -26,9 +26,9 @@ from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.segments import segments_of
 from dronevio.models.rig import Rig
-from dronevio.recorder import record_closed_loop, record_flight
+from dronevio.recording.recorder import record_closed_loop, record_flight
 from dronevio.sfm_inputs import EarlierResult, read_earlier, read_poses
-from dronevio.sim.loop_settings import LoopSettings
+from dronevio.sim.closed_loop.settings import LoopSettings
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.scenarios import scenario_named
 

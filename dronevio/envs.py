@@ -13,7 +13,7 @@ import gymnasium
 from dronevio.models.rig import Rig, euroc_rig
 
 if TYPE_CHECKING:
-    from dronevio.sim.envs.estimation import EstimatorFactory
+    from dronevio.sim.envs.sensing.estimation import EstimatorFactory
     from dronevio.sim.envs.single import DroneEnv
     from dronevio.sim.envs.tasks import AnyTask
 
@@ -58,7 +58,7 @@ def vio_environment(
     from dronevio.sim.envs.single import DroneEnv
 
     if estimator is None:
-        from dronevio.estimator.vio import VisualInertialOdometry
+        from dronevio.estimator.odometry import VisualInertialOdometry
 
         estimator = VisualInertialOdometry
     return DroneEnv(task, render_mode, rig=rig or vio_rig(), estimator=estimator, **settings)

@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from dronevio.estimator.config import VioConfig
     from dronevio.estimator.frontend.protocol import FrontEnd
     from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
+    from dronevio.estimator.odometry import VisualInertialOdometry
     from dronevio.estimator.types import Calibration, FramePacket, Matches, Observations
-    from dronevio.estimator.vio import VisualInertialOdometry
 
 __all__ = [
     "Calibration",
@@ -33,6 +33,6 @@ __getattr__, __dir__ = attach(
         "dronevio.estimator.frontend.protocol": ("FrontEnd",),
         "dronevio.estimator.imu.forward_propagation": ("ImuRatePropagator",),
         "dronevio.estimator.types": ("Calibration", "FramePacket", "Matches", "Observations"),
-        "dronevio.estimator.vio": ("VisualInertialOdometry",),
+        "dronevio.estimator.odometry": ("VisualInertialOdometry",),
     },
 )

@@ -8,12 +8,12 @@ from dronevio.estimator.backend.keyframes import KeyframeConfig
 from dronevio.estimator.backend.landmarks import LandmarkConfig
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.frontend.tracker import TrackerConfig
-from dronevio.estimator.health import HealthConfig
 from dronevio.estimator.imu.noise import NoiseEstimationConfig
 from dronevio.estimator.imu.preintegration import PreintegrationConfig
 from dronevio.estimator.initialization.initializer import InitializerConfig
 from dronevio.estimator.initialization.zero_velocity import ZeroVelocityConfig
-from dronevio.estimator.stamp_error import StampConfig
+from dronevio.estimator.monitoring.config import HealthConfig
+from dronevio.estimator.monitoring.stamp_error import StampConfig
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.ranges import Range, Settings
 

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
+from dronevio.estimator.backend.smoother import Keyframe, KeyframeSmoother
 from dronevio.estimator.types import Calibration, Integers, Observations
 from dronevio.models.state import CameraFrame, NavState
 
@@ -51,3 +52,35 @@ class KeyframeObserver(Protocol):
 
     def lost(self) -> None:
         """Notice that the estimate is lost: later keyframes are in another odometry frame."""
+
+
+def odometry_keyframe(
+    smoother: KeyframeSmoother,
+    keyframe: Keyframe,
+    calibration: Calibration,
+    is_connected: bool,
+    frame: CameraFrame | None,
+) -> OdometryKeyframe:
+    """Return the newest keyframe of a smoother for an observer.
+
+    Args:
+        smoother: The smoother.
+        keyframe: The keyframe, without outliers.
+        calibration: The calibration in use.
+        is_connected: Whether features connect it with the keyframe before.
+        frame: Its frame; None if that is not the newest.
+    """
+    landmarks = smoother.triangulated_landmarks
+    ids, rows, _ = np.intersect1d(landmarks.ids, keyframe.observations.ids, return_indices=True)
+    return OdometryKeyframe(
+        keyframe.t_ns,
+        smoother.state,
+        keyframe.observations,
+        calibration,
+        frame is not None,
+        is_connected,
+        smoother.keyframe_times_ns,
+        ids,
+        landmarks.points[rows],
+        frame,
+    )

@@ -1,22 +1,21 @@
 """The output of the odometry: estimates with their events, withheld until they are certain enough."""
 
-from dataclasses import replace
-
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.initialization.initializer import InitializerConfig, not_ready_reason
 from dronevio.estimator.initialization.not_observable import ACCEL_DISAGREES, ROTATION_DISAGREES, NotObservable
+from dronevio.estimator.monitoring.causes import Cause, Reason
+from dronevio.estimator.monitoring.config import HealthConfig
+from dronevio.estimator.monitoring.health import Assessment, health_report, report_of
 from dronevio.estimator.types import FramePacket, Observations
 from dronevio.models.imu import IMU_GAP_INTERVALS
-from dronevio.models.state import Estimate, FeatureTracks, Health, HealthReport, NavState
+from dronevio.models.state import Estimate, FeatureTracks, Health, HealthQuantities, HealthReport, NavState
 
 Array = npt.NDArray[np.float64]
 
 REPEATED_IMAGES = "the image does not change although the vehicle moves: not used"
 """Event at the first of several equal images."""
-CONTRADICTION = "images and IMU contradict each other; rotation shows whether clocks differ"
-"""Reason of a state that is not published although it is certain."""
 MAX_CONTRADICTION_NS = 3_000_000_000
 """Longest time for which a first state is not published for that reason [ns]: that of a search for the time offset
 of camera and IMU."""
@@ -35,22 +34,22 @@ class Publisher:
     images and IMU contradict each other, for some time; from then on every state is published, until a loss.
     """
 
-    def __init__(self, config: InitializerConfig, imu_rate_hz: float) -> None:
+    def __init__(self, config: InitializerConfig, health: HealthConfig, imu_rate_hz: float) -> None:
         """Begin before the first frame.
 
         Args:
             config: Determines when the first state is certain enough.
+            health: Limits of the health.
             imu_rate_hz: Sampling rate of the IMU [Hz].
         """
-        self._config, self._imu_rate_hz = config, imu_rate_hz
+        self._config, self._health = config, health
         self._waiting = Health.INITIALIZING  # the health of an estimate without a state
         self._is_publishing = False
+        self._ready_ns: int | None = None  # time of the first state that is certain enough
         self._cause: tuple[str, int] = ("", 0)  # what prevents the initialization, and its first time [ns]
         self._stated_causes: frozenset[str] = frozenset()
-        self._miscalibrated: frozenset[int] = frozenset()  # cameras whose extrinsics are contradicted
-        self._ready_ns: int | None = None  # time of the first state that is certain enough
-        self._repeated_ns: int | None = None  # time of the last frame of which an image was left out
-        self._gap: tuple[int, float] = (0, 0.0)  # frames without a break since a gap of the IMU began, its length [s]
+        self._is_noise_stated = False
+        self._sensors = SensorEvents(imu_rate_hz)
 
     @property
     def has_stated_cause(self) -> bool:
@@ -65,67 +64,66 @@ class Publisher:
         self,
         packet: FramePacket,
         state: NavState,
-        report: HealthReport,
+        assessment: Assessment,
         events: tuple[str, ...] = (),
-        landmarks_world: Array | None = None,
+        landmarks_odom: Array | None = None,
     ) -> Estimate:
         """Return the estimate of a frame with a state, which is withheld if it is not certain enough.
 
         Args:
             packet: The frame.
             state: The state at the frame.
-            report: Its health.
+            assessment: What is known about it.
             events: Events at the frame, as texts for people.
-            landmarks_world: (L, 3) Landmarks that constrain the estimate [m]; only on keyframes.
+            landmarks_odom: (L, 3) Landmarks that constrain the estimate [m]; only on keyframes.
         """
+        report = health_report(assessment, self._health)
         if not self._is_publishing:
-            not_ready = not_ready_reason(state, self._config) or self._contradiction(packet.t_ns, report)
-            if not_ready is not None:
-                return self.without_state(packet, str(not_ready), report)
+            uncertain = not_ready_reason(state, self._config)
+            if uncertain is not None:
+                return self.without_state(packet, _not_observable(uncertain), report)
+            if self._is_contradicted(packet.t_ns, report):
+                return self.without_state(packet, Reason.of(Cause.CONTRADICTION), report)
             self._is_publishing, self._cause = True, ("", 0)
             events = ("initialized" if self._waiting is Health.INITIALIZING else "recovered", *events)
+        events = (*events, *self._sensors.of(packet), *self._noise_events(assessment))
         tracks = _feature_tracks(packet.observations)
-        return Estimate(
-            packet.t_ns, report.health, state, tracks, landmarks_world, (*events, *self._sensor_events(packet)), report
-        )
-
-    def _contradiction(self, t_ns: int, report: HealthReport) -> NotObservable | None:
-        """Return that images and IMU contradict each other, for some time after the first initialization."""
-        self._ready_ns = t_ns if self._ready_ns is None else self._ready_ns
-        is_early = self._waiting is Health.INITIALIZING and t_ns - self._ready_ns < MAX_CONTRADICTION_NS
-        return NotObservable(CONTRADICTION) if is_early and report.health is not Health.TRACKING else None
+        return Estimate(packet.t_ns, report.health, state, tracks, landmarks_odom, events, report)
 
     def without_state(
-        self, packet: FramePacket, reason: str, report: HealthReport | None = None, events: tuple[str, ...] = ()
+        self,
+        packet: FramePacket,
+        reason: Reason,
+        quantities: HealthQuantities | None = None,
+        events: tuple[str, ...] = (),
     ) -> Estimate:
         """Return the estimate of a frame without a state, with the reason."""
-        known = report or HealthReport(self._waiting, reason, tracks=len(packet.observations))
-        report = replace(known, health=self._waiting, reason=reason)
-        tracks = _feature_tracks(packet.observations)
-        events = (*events, *self._sensor_events(packet))
+        report = report_of(self._waiting, reason, quantities or HealthQuantities(tracks=len(packet.observations)))
+        tracks, events = _feature_tracks(packet.observations), (*events, *self._sensors.of(packet))
         return Estimate(packet.t_ns, self._waiting, None, tracks, events=events, health_report=report)
 
     def not_initialized(self, packet: FramePacket, obstacle: NotObservable) -> Estimate:
         """Return the estimate of a frame without a state, with what prevents the initialization."""
-        return self.without_state(packet, str(obstacle), events=self._cause_events(packet.t_ns, obstacle.cause))
+        events = self._cause_events(packet.t_ns, obstacle.cause)
+        return self.without_state(packet, _not_observable(obstacle), events=events)
 
-    def lost(self, packet: FramePacket, report: HealthReport) -> Estimate:
+    def lost(self, packet: FramePacket, reason: Reason, quantities: HealthQuantities) -> Estimate:
         """Return the estimate of a frame at which the state is lost; the next one has to be certain again."""
         self._waiting, self._is_publishing = Health.LOST, False
-        return self.without_state(packet, report.reason, report, (f"lost: {report.reason}",))
+        return self.without_state(packet, reason, quantities, (f"lost: {reason.text}",))
 
-    def _sensor_events(self, packet: FramePacket) -> tuple[str, ...]:
-        outliers = (f"{packet.imu_outliers} {OUTLYING_SAMPLES}",) if packet.imu_outliers else ()
-        calibration = self._calibration_events(packet.observations)
-        return (*self._gap_events(packet), *calibration, *self._repetition_events(packet), *outliers)
+    def _is_contradicted(self, t_ns: int, report: HealthReport) -> bool:
+        """Return whether images and IMU contradict each other, for some time after the first initialization."""
+        self._ready_ns = t_ns if self._ready_ns is None else self._ready_ns
+        is_early = self._waiting is Health.INITIALIZING and t_ns - self._ready_ns < MAX_CONTRADICTION_NS
+        return is_early and report.health is not Health.TRACKING and report.cause is not Cause.EXCESSIVE_NOISE
 
-    def _repetition_events(self, packet: FramePacket) -> tuple[str, ...]:
-        """Return an event at the first of several repeated images."""
-        if not packet.repeats_image:
+    def _noise_events(self, assessment: Assessment) -> tuple[str, ...]:
+        """Return the cause of excessive noise, once."""
+        if self._is_noise_stated or not (assessment.is_noise_excessive or assessment.is_noise_aliased):
             return ()
-        before_ns, self._repeated_ns = self._repeated_ns, packet.t_ns
-        is_same = before_ns is not None and packet.t_ns - before_ns <= SAME_REPETITION_NS
-        return () if is_same else (REPEATED_IMAGES,)
+        self._is_noise_stated = True
+        return (f"probable cause: {Cause.EXCESSIVE_NOISE}",)
 
     def _cause_events(self, t_ns: int, cause: str) -> tuple[str, ...]:
         """Return an event where the same cause has prevented the initialization for some time; one for each cause."""
@@ -139,6 +137,31 @@ class Publisher:
             return ()  # it presumes that the gyroscope agrees with the images
         self._stated_causes |= {cause}
         return (f"probable cause: {cause}",)
+
+
+class SensorEvents:
+    """States what is wrong with the sensors: gaps, outliers, repeated images, and cameras against their calibration."""
+
+    def __init__(self, imu_rate_hz: float) -> None:
+        """Begin before the first frame, with the sampling rate of the IMU [Hz]."""
+        self._imu_rate_hz = imu_rate_hz
+        self._miscalibrated: frozenset[int] = frozenset()  # cameras whose extrinsics are contradicted
+        self._repeated_ns: int | None = None  # time of the last frame of which an image was left out
+        self._gap: tuple[int, float] = (0, 0.0)  # frames without a break since a gap of the IMU began, its length [s]
+
+    def of(self, packet: FramePacket) -> tuple[str, ...]:
+        """Return the events of the next frame, as texts for people."""
+        outliers = (f"{packet.imu_outliers} {OUTLYING_SAMPLES}",) if packet.imu_outliers else ()
+        calibration = self._calibration_events(packet.observations)
+        return (*self._gap_events(packet), *calibration, *self._repetition_events(packet), *outliers)
+
+    def _repetition_events(self, packet: FramePacket) -> tuple[str, ...]:
+        """Return an event at the first of several repeated images."""
+        if not packet.repeats_image:
+            return ()
+        before_ns, self._repeated_ns = self._repeated_ns, packet.t_ns
+        is_same = before_ns is not None and packet.t_ns - before_ns <= SAME_REPETITION_NS
+        return () if is_same else (REPEATED_IMAGES,)
 
     def _gap_events(self, packet: FramePacket) -> tuple[str, ...]:
         """Return an event when a gap of the IMU begins, and one when a gap of several frames ends."""
@@ -159,6 +182,11 @@ class Publisher:
             *(f"camera {i} contradicts its calibration: not used for depth" for i in new),
             *(f"camera {i} agrees with its calibration: used for depth" for i in settled),
         )
+
+
+def _not_observable(obstacle: NotObservable) -> Reason:
+    """Return what prevents an initialization as the reason of an estimate without a state."""
+    return Reason.of(Cause.NOT_OBSERVABLE, reason=str(obstacle))
 
 
 def _feature_tracks(observations: Observations) -> FeatureTracks:

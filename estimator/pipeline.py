@@ -1,47 +1,62 @@
 """The measurement pipeline: a frame and the IMU samples before it become one packet at one instant of the IMU's clock.
 
-The gyroscope predicts the rotation of the cameras between two frames, and the front end tracks features from there. Its
-observations are then corrected for the exposure times of the rows, the clock offset and the intrinsics, so that what
-follows the pipeline sees calibrated, instantaneous measurements.
+Irregular time stamps are corrected, and repeated images left out. The gyroscope predicts the rotation of the cameras
+between two frames, and the front end tracks features from there. Its observations are then corrected for the exposure
+times of the rows, the clock offset and the intrinsics, so that what follows the pipeline sees calibrated, instantaneous
+measurements.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.repetition import RepetitionFilter
 from dronevio.estimator.frontend.rolling_shutter import ExposureCompensation
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
+from dronevio.estimator.imu.preintegration import PreintegrationParams
+from dronevio.estimator.initialization.gauge import BiasPrior
+from dronevio.estimator.initialization.zero_velocity import ZeroVelocityDetector
+from dronevio.estimator.monitoring.image_connection import ImageConnection
+from dronevio.estimator.monitoring.innovation import Innovation
+from dronevio.estimator.monitoring.stamp_error import StampCorrection
+from dronevio.estimator.propagator import propagated
 from dronevio.estimator.types import Calibration, FramePacket, Observations
 from dronevio.models.errors import ConfigError
-from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples
-from dronevio.models.state import CameraFrame, Estimate
+from dronevio.models.imu import ImuSamples
+from dronevio.models.rig import Rig
+from dronevio.models.state import CameraFrame, Estimate, NavState
 
 Array = npt.NDArray[np.float64]
 
 
 CONTRADICTED_SIGMA_RAD = 0.02
 """Standard deviation of the rotation between frames by a gyroscope that the images contradict [rad]."""
+MAX_EXTRAPOLATION_S = 0.01
+"""Longest time over which a state is extrapolated without its covariance [s]: the error of third order is .01 mm."""
 
 
 class MeasurementPipeline:
     """Takes measurements in time order and returns frame packets."""
 
-    def __init__(self, imu: ImuModel, front_end: FrontEnd, gravity_m_s2: float = GRAVITY_M_S2) -> None:
+    def __init__(self, rig: Rig, config: VioConfig, front_end: FrontEnd) -> None:
         """Begin before the first measurement.
 
         Args:
-            imu: The sensor model.
+            rig: The given calibration.
+            config: Settings.
             front_end: Detects and tracks the features.
-            gravity_m_s2: Magnitude of gravity [m/s²].
         """
-        self._front_end = front_end
-        self._buffer, self._exposure = ImuBuffer(imu), ExposureCompensation(gravity_m_s2)
-        self._repetition = RepetitionFilter()
+        self._front_end, self._imu, self._buffer = front_end, rig.imu, ImuBuffer(rig.imu)
+        self._stamps = StampCorrection(rig.cameras[0].rate_hz, config.stamps)
+        self._exposure, self._repetition = ExposureCompensation(config.gravity_m_s2), RepetitionFilter()
+        self._zero_velocity = ZeroVelocityDetector(config.zero_velocity, config.gravity_m_s2)
         self._last_frame_ns: int | None = None
         self._outliers = 0  # of the IMU, up to the newest frame
+        self._connection = ImageConnection()
 
     def add_imu(self, samples: ImuSamples) -> ImuSamples:
         """Add the IMU samples since the last call, and return those that are used now; see `ImuBuffer.add`."""
@@ -51,9 +66,7 @@ class MeasurementPipeline:
         self,
         frame: CameraFrame,
         calibration: Calibration,
-        gyro_bias_rad_s: Array,
-        gyro_bias_sigma_rad_s: float,
-        delay_s: float = 0.0,
+        gyro_bias: BiasPrior,
         *,
         moves: bool = False,
         contradicted: bool = False,
@@ -63,9 +76,7 @@ class MeasurementPipeline:
         Args:
             frame: The frame.
             calibration: The calibration in use.
-            gyro_bias_rad_s: (3,) Estimate of the gyroscope bias [rad/s].
-            gyro_bias_sigma_rad_s: Its standard deviation [rad/s].
-            delay_s: How much later than its time stamp the frame was exposed [s].
+            gyro_bias: What is known of the gyroscope bias [rad/s].
             moves: Whether the vehicle is known to move.
             contradicted: Whether the images contradict the gyroscope, so that it must not decide which features are
                 outliers.
@@ -79,21 +90,49 @@ class MeasurementPipeline:
                 " or a new estimator where the clock steps"
             )
         self._last_frame_ns = frame.t_ns
+
+        # Time of exposure by the clock of the IMU, and the samples up to it
+        delay_s = self._stamps.add_stamp(frame.t_ns)
         t_ns = self._exposure.imu_time_ns(frame.t_ns, calibration) + round(delay_s * 1e9)
         increments = self._buffer.take_until(t_ns)
         image_delays_s = 1e-9 * np.array(frame.image_delays_ns or (0,))
         ahead = self._buffer.ahead(max(self._exposure.lookahead_s(calibration, image_delays_s), -delay_s))
-        self._exposure.begin_frame(increments, ahead, gyro_bias_rad_s, image_delays_s)
-        rotation_sigma = float(gyro_bias_sigma_rad_s * increments.dt_s.sum()) + increments.rotation_excess_sigma_rad
-        R_cur_prev = _camera_rotation(calibration, increments, gyro_bias_rad_s)
+        self._exposure.begin_frame(increments, ahead, gyro_bias.mean, image_delays_s)
+
+        # Rotation by the gyroscope, from which features are tracked
+        R_cur_prev = _camera_rotation(calibration, increments, gyro_bias.mean)
+        rotation_sigma = float(gyro_bias.sigma * increments.dt_s.sum()) + increments.rotation_excess_sigma_rad
         frame = self._repetition.filtered(frame, R_cur_prev, rotation_sigma, moves=moves)
         tracking_sigma = max(rotation_sigma, CONTRADICTED_SIGMA_RAD) if contradicted else rotation_sigma
-        observations = self._front_end.track(frame, R_cur_prev, tracking_sigma, calibration.rig)
+        tracked = self._front_end.track(frame, R_cur_prev, tracking_sigma, calibration.rig)
         # Cameras that have no tracker of their own observe no features in a frame that the others lack.
-        has_image = len(observations) > 0 or all(image.size for image in frame.images)
-        at_frame = self._at_frame_time(observations, calibration)
+        has_image = len(tracked) > 0 or all(image.size for image in frame.images)
+
+        # Observations at the time of the frame
+        observations = self._at_frame_time(tracked, calibration)
+        self._zero_velocity.update(t_ns, observations if has_image else None, increments)
         outliers, self._outliers = self._buffer.outliers - self._outliers, self._buffer.outliers
-        return FramePacket(t_ns, increments, at_frame, has_image, self._repetition.repeats, outliers)
+        if has_image:
+            self._connection.add_frame(observations)
+        return FramePacket(
+            t_ns,
+            increments,
+            observations,
+            has_image,
+            self._repetition.repeats,
+            outliers,
+            self._zero_velocity.stationary_s,
+        )
+
+    def compare_stamps(self, innovation: Callable[[], Innovation], predicted: NavState) -> None:
+        """Compare irregular time stamps with the image of the newest frame; see `StampCorrection.compare`.
+
+        Args:
+            innovation: Returns the innovation of the frame.
+            predicted: The state that the IMU predicts for it.
+        """
+        if self._stamps.is_irregular:
+            self._stamps.compare(innovation(), predicted, self.angular_velocity_rad_s)
 
     def replenish(self, packet: FramePacket, calibration: Calibration) -> FramePacket:
         """Return the newest packet with newly detected features and the matches in further cameras."""
@@ -105,6 +144,10 @@ class MeasurementPipeline:
         observations = self._front_end.replenish(calibration.rig, at_exposure_of)
         return replace(packet, observations=self._at_frame_time(observations, calibration))
 
+    def is_connected(self, packet: FramePacket) -> bool:
+        """Make the newest packet a keyframe, and return whether features connect it with the keyframe before."""
+        return self._connection.add_keyframe(packet.observations)
+
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
         """Stop tracking the given features."""
         self._front_end.discard(ids)
@@ -114,13 +157,19 @@ class MeasurementPipeline:
         """(3,) Angular velocity of the IMU at the newest frame, bias removed [rad/s]."""
         return self._exposure.angular_velocity_rad_s
 
-    def since_frame(self, span_s: float) -> Increments:
-        """Return the IMU increments of a time after the newest frame [s]; where samples are missing, one is held."""
-        return self._buffer.ahead(span_s, held=True)
+    def at_stamp(self, estimate: Estimate, frame: CameraFrame, params: PreintegrationParams) -> Estimate:
+        """Return the estimate of the newest frame at the time stamp of a frame, by the clock of the cameras.
 
-    def at_stamp(self, estimate: Estimate, frame: CameraFrame) -> Estimate:
-        """Return the estimate of the newest frame at the frame's time stamp, by the clock of the cameras."""
-        return self._exposure.at_stamp(estimate, frame.t_ns)
+        Args:
+            estimate: The estimate of the newest frame.
+            frame: That frame, or a later one that waits for its IMU samples.
+            params: The noise of the IMU.
+        """
+        state, later_s = estimate.state, (frame.t_ns - estimate.t_ns) * 1e-9
+        if state is None or later_s <= MAX_EXTRAPOLATION_S:
+            return self._exposure.at_stamp(estimate, frame.t_ns)
+        state = propagated(state, self._buffer.ahead(later_s, held=True), params, self._imu)
+        return replace(estimate, t_ns=frame.t_ns, state=replace(state, t_ns=frame.t_ns))
 
     def _at_frame_time(self, observations: Observations, calibration: Calibration) -> Observations:
         return self._exposure.at_frame_time(calibration.normalized(observations), calibration)

@@ -167,15 +167,10 @@ class Propagator:
         """Whether a sensor of the IMU has been saturated, or has had a gap, since the keyframe."""
         return self._propagation.is_degraded
 
-    def would_be_stationary(self, packet: FramePacket, stationary_s: float) -> bool:
-        """Return whether the vehicle is stationary from the keyframe up to a frame that is not added yet.
-
-        Args:
-            packet: The frame.
-            stationary_s: Time for which no motion has been detected [s].
-        """
+    def would_be_stationary(self, packet: FramePacket) -> bool:
+        """Return whether the vehicle is stationary from the keyframe up to a frame that is not added yet."""
         elapsed_s = self._propagation.elapsed_s + packet.increments.duration_s
-        return self._may_be_stationary and self._policy.is_stationary(elapsed_s, stationary_s)
+        return self._may_be_stationary and self._policy.is_stationary(elapsed_s, packet.stationary_s)
 
     def add(self, packet: FramePacket, stationary: bool = False) -> None:
         """Add the next frame, and whether the vehicle is stationary from the keyframe up to it."""
@@ -187,16 +182,15 @@ class Propagator:
         """Return the predicted state at the last frame, whose time is ``t_ns``."""
         return self._propagation.state_at(t_ns, self._stationary)
 
-    def predicted(self, packet: FramePacket) -> NavState:
-        """Return the predicted state at a frame that is not added yet, without covariance."""
-        return self._propagation.predicted(packet.t_ns, packet.increments)
+    def predicted(self, t_ns: int, increments: Increments) -> NavState:
+        """Return the predicted state after further increments, which are not added; see `ImuPropagation.predicted`."""
+        return self._propagation.predicted(t_ns, increments)
 
-    def is_keyframe_due(
-        self, frame_s: float, stationary_s: float, observations: Observations, innovation_px: float | None
-    ) -> bool:
+    def is_keyframe_due(self, packet: FramePacket, innovation_px: float | None) -> bool:
         """Return whether the last frame becomes a keyframe; see `KeyframePolicy.is_due`."""
-        stationary_s = stationary_s if self._may_be_stationary else 0.0
-        return self._policy.is_due(self._propagation.elapsed_s, frame_s, stationary_s, observations, innovation_px)
+        stationary_s = packet.stationary_s if self._may_be_stationary else 0.0
+        frame_s, elapsed_s = packet.increments.duration_s, self._propagation.elapsed_s
+        return self._policy.is_due(elapsed_s, frame_s, stationary_s, packet.observations, innovation_px)
 
     def end_stationary(self) -> tuple[FramePacket | None, list[FramePacket]]:
         """Return to the last frame at which the vehicle was certainly stationary, if there is one since the keyframe.

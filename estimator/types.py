@@ -102,6 +102,8 @@ class FramePacket:
     """Whether an image was left out because it repeats the one before."""
     imu_outliers: int = 0
     """Number of IMU samples that were left out as outliers since the previous frame."""
+    stationary_s: float = 0.0
+    """Time for which no motion has been detected [s]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
 """Actions of environments and policies: the names of the modes, and the values that actions of ±1 command.
 
-`dronevio.sim.envs.actions` specifies the modes.
+`dronevio.sim.envs.episodes.actions` specifies the modes.
 """
 
 from dataclasses import dataclass

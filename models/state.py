@@ -1,7 +1,7 @@
 """Camera frames, navigation states, estimates with their health, and trajectories."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import StrEnum
 from numbers import Integral
 from typing import Self
@@ -60,7 +60,11 @@ class CameraFrame:
 
 @dataclass(frozen=True, eq=False)
 class NavState:
-    """Navigation state of the IMU at one time; the world frame is aligned with gravity, z up."""
+    """Navigation state of the IMU at one time.
+
+    The world frame is the fixed frame of its source, such as that of the simulation, of an odometry or of a
+    map; it is aligned with gravity, z up.
+    """
 
     t_ns: int
     """Time of the state [ns]."""
@@ -104,17 +108,13 @@ class FeatureTracks:
     """(N,) Number of frames in which each feature has been observed."""
 
 
-@dataclass(frozen=True)
-class HealthReport:
-    """Health of an estimator at one frame, with its reason and the quantities that determine it.
+@dataclass(frozen=True, kw_only=True)
+class HealthQuantities:
+    """The quantities that determine the health of an estimate at one frame.
 
     A quantity is None where it is undefined, such as the parallax without landmarks.
     """
 
-    health: Health
-    """Status of the estimator."""
-    reason: str
-    """Reason of the status, as a text for users."""
     tracks: int = 0
     """Number of features tracked into this frame."""
     landmarks: int = 0
@@ -135,6 +135,24 @@ class HealthReport:
     inertial_only_s: float = 0.0
     """Time for which the IMU alone has constrained the estimate [s]."""
 
+    @property
+    def quantities(self) -> "HealthQuantities":
+        """These quantities alone."""
+        return HealthQuantities(**{field.name: getattr(self, field.name) for field in fields(HealthQuantities)})
+
+
+@dataclass(frozen=True)
+class HealthReport(HealthQuantities):
+    """Health of an estimator at one frame, with its reason and the quantities that determine it."""
+
+    health: Health
+    """Status of the estimator."""
+    reason: str
+    """Reason of the status, as a text for users."""
+    cause: StrEnum | None = None
+    """The same as a constant, for programs; None from estimators that give a text only. Those of the odometry are in
+    `dronevio.estimator.monitoring.causes`."""
+
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
@@ -145,11 +163,11 @@ class Estimate:
     health: Health
     """Status of the estimator."""
     state: NavState | None
-    """State at the frame in a continuous odometry frame, None if there is none."""
+    """State at the frame, whose world frame is the odometry frame: continuous, with drift. None if there is none."""
     tracks: FeatureTracks | None = None
     """Features that are tracked into this frame."""
-    landmarks_world: Array | None = None
-    """(M, 3) Positions of landmarks in the world frame, None on frames for which they are not computed [m]."""
+    landmarks_odom: Array | None = None
+    """(M, 3) Positions of landmarks in the odometry frame, None on frames for which they are not computed [m]."""
     events: tuple[str, ...] = ()
     """Events at this frame, as texts for users, such as ``initialized`` or ``keyframe``."""
     health_report: HealthReport | None = None
@@ -165,16 +183,23 @@ class Estimate:
     [ns]."""
 
     @property
+    def T_odom_imu(self) -> Array | None:
+        """(4, 4) Pose of the IMU in the odometry frame; None without a state."""
+        return None if self.state is None else self.state.T_world_imu
+
+    @property
     def T_map_imu(self) -> Array | None:
         """(4, 4) Pose of the IMU in the map frame, corrected by loop closures; None without a pose or a map."""
-        if self.state is None or self.T_map_odom is None:
-            return None
-        return np.asarray(self.T_map_odom @ self.state.T_world_imu)
+        T_map_odom, T_odom_imu = self.T_map_odom, self.T_odom_imu
+        return None if T_map_odom is None or T_odom_imu is None else np.asarray(T_map_odom @ T_odom_imu)
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses of the IMU over time, optionally with velocities, biases and covariances."""
+    """Poses of the IMU over time, optionally with velocities, biases and covariances.
+
+    The world frame is the fixed frame of its source; see `NavState`.
+    """
 
     t_ns: Times
     """(N,) Time stamps, strictly increasing [ns]."""

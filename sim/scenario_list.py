@@ -1,7 +1,7 @@
 """List of all scenarios with the figures of their planned trajectories, and of the suites.
 
 Planning all scenarios takes ten seconds. The list of seed 0 is therefore a file of the package, which
-``scripts/scenario_list.py`` writes and a test compares with the code.
+``tools/scenario_list.py`` writes and a test compares with the code.
 """
 
 import json

@@ -22,18 +22,19 @@ from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.state import CameraFrame, Trajectory
 
-SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
+SCRIPTS = [Path(__file__).resolve().parents[1] / folder for folder in ("benchmarks", "tools")]
 
 
 @pytest.fixture(scope="session")
 def script() -> Callable[[str], Any]:
-    """Gives a script as a module, by name; scripts belong to no package, and find each other by their names."""
+    """Gives a module of benchmarks or tools by name; they belong to no package, and import each other by name."""
 
     def load(name: str) -> Any:
-        if not (SCRIPTS / f"{name}.py").exists():
-            pytest.skip("the scripts are in the repository, not in the package")
+        folder = next((folder for folder in SCRIPTS if (folder / f"{name}.py").exists()), None)
+        if folder is None:
+            pytest.skip("benchmarks and tools are in the repository, not in the package")
         with pytest.MonkeyPatch.context() as patch:
-            patch.syspath_prepend(SCRIPTS)
+            patch.syspath_prepend(folder)
             return importlib.import_module(name)
 
     return load

@@ -15,7 +15,19 @@ from dronevio.models.errors import EvaluationError
 ROOT = Path(dv.__file__).parent
 PACKAGES = sorted(
     ".".join(["dronevio", *path.parent.relative_to(ROOT).parts])
-    for folder in ("", "models", "sim", "estimator", "eval", "book", "cli", "inspection")
+    for folder in (
+        "",
+        "models",
+        "sim",
+        "estimator",
+        "eval",
+        "benchmark",
+        "book",
+        "cli",
+        "estimators",
+        "inspection",
+        "recording",
+    )
     for path in (ROOT / folder).glob("__init__.py" if not folder else "**/__init__.py")
 )
 

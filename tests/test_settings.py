@@ -134,10 +134,13 @@ def test_defaults_are_not_at_the_ends_of_nothing(kind: type) -> None:
         ("estimate x --estimator.tracker.pyramid-levels -1", "--estimator.tracker.pyramid-levels -1; expected"),
         ("estimate x --estimator.health.max-inertial-sigma-m -1", "max-inertial-sigma-m -1.0; expected a number, more"),
         ("estimate x --estimator.preintegration.accel-noise-inflation -1", "accel-noise-inflation -1.0; expected"),
-        ("estimate x --estimator.tracker.min-tracked-ratio nan", "--estimator.tracker.min-tracked-ratio nan; expected"),
         (
-            "estimate x --estimator.initialization.dynamic-sigmas.tilt-rad 0",
-            "dronevio: --estimator.initialization.dynamic-sigmas.tilt-rad 0.0; expected",
+            "estimate x --set estimator.tracker.min-tracked-ratio=nan",
+            "--set estimator.tracker.min-tracked-ratio nan; exp",
+        ),
+        (
+            "estimate x --set estimator.initialization.dynamic-sigmas.tilt-rad=0",
+            "dronevio: --set estimator.initialization.dynamic-sigmas.tilt-rad 0.0; expected",
         ),
         ("estimate x --cameras 0", "dronevio: --cameras 0; expected a whole number, 1 to 16, or None"),
         ("fly --wind.mean-m-s 1 2 nan", "--wind.mean-m-s (1.0, 2.0, nan); expected 3 numbers, each -50 to 50"),
@@ -156,4 +159,5 @@ def test_help_shows_the_range(capsys: pytest.CaptureFixture[str], monkeypatch: p
     with pytest.raises(SystemExit):
         main(["estimate", "--help-all"])
     shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    assert "Number of keyframes in the window. Allowed: 3 to 40. (default: 9)" in shown
+    assert "Number of keyframes in the window. Allowed: 3 to 40. When to change it: accuracy counts" in shown
+    assert "(decrease it). (default: 9)" in shown

@@ -49,9 +49,9 @@ def main(arguments: Sequence[str]) -> int:
 
     from dronevio.book.eqvio_plots import draw_two_paths
     from dronevio.book.figures import save_figure
-    from dronevio.driver import estimate_recording, require_poses
     from dronevio.estimator.book.eqvio import ReplayFrontEnd, read_feature_recording, run_eqvio
-    from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.estimator.odometry import VisualInertialOdometry
+    from dronevio.estimators.driver import estimate_recording, require_poses
     from dronevio.models.recordings.tum import write_tum
     from dronevio.models.state import Trajectory
 

@@ -25,27 +25,42 @@ COMMANDS = CommandGroup(
     "dronevio",
     "Simulate a quadrotor, estimate its motion from camera and IMU, and evaluate the estimate.",
     {
-        "run": Subcommand("dronevio.cli.run", "simulate a flight, estimate its motion, evaluate it and write a report"),
-        "fly": Subcommand("dronevio.cli.fly", "simulate a flight and record its sensor data as an EuRoC folder"),
-        "inspect": Subcommand("dronevio.cli.inspect", "tell what a recording holds and what is wrong with it"),
-        "estimate": Subcommand("dronevio.cli.estimate", "estimate the trajectory of a recording"),
-        "evaluate": Subcommand("dronevio.cli.evaluate", "compute the errors of an estimate against the ground truth"),
-        "benchmark": Subcommand("dronevio.cli.benchmark", "run estimators on many flights and tabulate their errors"),
-        "compare": Subcommand("dronevio.cli.compare", "compare two benchmarks or two runs statistically"),
-        "gate": Subcommand("dronevio.cli.gate", "fail if a benchmark is worse than an earlier one"),
-        "sfm": Subcommand("dronevio.cli.sfm", "reconstruct cameras and points from images alone"),
-        "dense": Subcommand("dronevio.cli.dense", "compute the surfaces of a scene from the result of sfm"),
-        "policy": Subcommand("dronevio.cli.policy", "evaluate, describe and export trained policies"),
-        "refly": Subcommand("dronevio.cli.refly", "render images along the recorded trajectory of a real drone"),
-        "convert": Subcommand("dronevio.cli.convert", "convert a recording, or export its calibration"),
-        "scenarios": Subcommand("dronevio.cli.scenarios", "list the scenarios and the suites"),
-        "worlds": Subcommand("dronevio.cli.worlds", "list the worlds, or draw a contact sheet of them"),
-        "log": Subcommand("dronevio.cli.log", "write estimates of any program and a recording to a rerun file"),
-        "report": Subcommand("dronevio.cli.report", "write a benchmark as HTML, Markdown, LaTeX or CSV"),
-        "view": Subcommand("dronevio.cli.view", "open the rerun file of a run"),
+        "run": Subcommand(
+            "dronevio.cli.commands.run", "simulate a flight, estimate its motion, evaluate it and write a report"
+        ),
+        "fly": Subcommand(
+            "dronevio.cli.commands.fly", "simulate a flight and record its sensor data as an EuRoC folder"
+        ),
+        "inspect": Subcommand("dronevio.cli.commands.inspect", "tell what a recording holds and what is wrong with it"),
+        "estimate": Subcommand("dronevio.cli.commands.estimate", "estimate the trajectory of a recording"),
+        "evaluate": Subcommand(
+            "dronevio.cli.commands.evaluate", "compute the errors of an estimate against the ground truth"
+        ),
+        "benchmark": Subcommand(
+            "dronevio.cli.commands.benchmark", "run estimators on many flights and tabulate their errors"
+        ),
+        "compare": Subcommand("dronevio.cli.commands.compare", "compare two benchmarks or two runs statistically"),
+        "gate": Subcommand("dronevio.cli.commands.gate", "fail if a benchmark is worse than an earlier one"),
+        "sfm": Subcommand("dronevio.cli.commands.sfm", "reconstruct cameras and points from images alone"),
+        "dense": Subcommand("dronevio.cli.commands.dense", "compute the surfaces of a scene from the result of sfm"),
+        "settings": Subcommand("dronevio.cli.commands.settings", "list all settings of a command with their ranges"),
+        "policy": Subcommand("dronevio.cli.commands.policy", "evaluate, describe and export trained policies"),
+        "refly": Subcommand(
+            "dronevio.cli.commands.refly", "render images along the recorded trajectory of a real drone"
+        ),
+        "convert": Subcommand("dronevio.cli.commands.convert", "convert a recording, or export its calibration"),
+        "scenarios": Subcommand("dronevio.cli.commands.scenarios", "list the scenarios and the suites"),
+        "worlds": Subcommand("dronevio.cli.commands.worlds", "list the worlds, or draw a contact sheet of them"),
+        "log": Subcommand(
+            "dronevio.cli.commands.log", "write estimates of any program and a recording to a rerun file"
+        ),
+        "report": Subcommand("dronevio.cli.commands.report", "write a benchmark as HTML, Markdown, LaTeX or CSV"),
+        "view": Subcommand("dronevio.cli.commands.view", "open the rerun file of a run"),
         "book": Subcommand("dronevio.book", "run the experiments of a robotics book's section on visual SLAM"),
-        "speed": Subcommand("dronevio.cli.speed", "measure the speed of the simulator and of the evaluation"),
-        "doctor": Subcommand("dronevio.cli.doctor", "check this machine for the software and drivers that are needed"),
+        "speed": Subcommand("dronevio.cli.commands.speed", "measure the speed of the simulator and of the evaluation"),
+        "doctor": Subcommand(
+            "dronevio.cli.commands.doctor", "check this machine for the software and drivers that are needed"
+        ),
     },
     ("dronevio run", "dronevio run --seed 3 --out runs/third"),
 )

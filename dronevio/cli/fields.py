@@ -10,6 +10,7 @@ typeguard, whose import takes 0.08 s, a fifth of the processor time of ``dronevi
 
 import ast
 import dataclasses
+import functools
 import inspect
 import textwrap
 import types
@@ -21,6 +22,8 @@ import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
 from dronevio.cli.imported_settings import ImportedSettings, field_types
+from dronevio.cli.settings.named_fields import changed
+from dronevio.cli.settings.option_tables import OPTIONS, OptionTable
 from dronevio.cli.usage import allowed
 
 
@@ -33,11 +36,14 @@ def registry(command: type, defaults: Mapping[str, object], with_settings: bool)
         with_settings: Whether groups of settings become options.
     """
     constructors = ConstructorRegistry()
+    tables = _option_tables(command, with_settings)
 
     @constructors.struct_rule
     def dataclass_rule(info: StructTypeInfo) -> StructConstructorSpec | None:
         if not dataclasses.is_dataclass(info.type):
             return None
+        if info.type in tables:
+            return _table_spec(info.type, tables[info.type], info.default, with_settings)
         replaced = defaults if info.type is command else {}
         hints = field_types(info.type, with_settings)
         fields = [
@@ -45,7 +51,7 @@ def registry(command: type, defaults: Mapping[str, object], with_settings: bool)
                 field.name,
                 _with_none_first(hints[field.name]),
                 replaced[field.name] if field.name in replaced else _default(field, info.default),
-                partial(_help_text, info.type, field.name),
+                partial(help_text, info.type, field.name),
             )
             for field in dataclasses.fields(info.type)
             if with_settings or not _is_group(field, hints[field.name])
@@ -55,6 +61,42 @@ def registry(command: type, defaults: Mapping[str, object], with_settings: bool)
     return constructors
 
 
+def _option_tables(command: type, with_settings: bool) -> dict[type, OptionTable]:
+    """Return the options of the groups of settings of which only some settings are options, by their classes."""
+    fields = [field for field in dataclasses.fields(command) if OPTIONS in field.metadata]
+    hints = field_types(command, with_settings)
+    return {_without_annotation(hints[field.name]): field.metadata[OPTIONS] for field in fields}
+
+
+def _table_spec(group: type, table: OptionTable, of_command: Any, with_settings: bool) -> StructConstructorSpec:
+    """Return how tyro makes a group of settings of those that are options; all others keep their values.
+
+    Args:
+        group: The class of the settings.
+        table: The options, by names relative to the group.
+        of_command: The settings to which the options are applied; missing for those of the class.
+        with_settings: Whether options in groups of these settings are made, too.
+    """
+    settings = group() if of_command in (tyro.MISSING, tyro.MISSING_NONPROP) else of_command
+    fields = {}
+    for name in (each for each in table if with_settings or "." not in each):
+        *above, last = path = tuple(name.replace("-", "_").split("."))
+        owner = functools.reduce(getattr, above, settings)
+        hint = field_types(type(owner), with_settings=True)[last]
+        helptext = partial(_option_text, type(owner), last, table[name])
+        fields[path] = StructFieldSpec(name, _with_none_first(hint), getattr(owner, last), helptext)
+
+    def made(**values: Any) -> Any:
+        return changed(settings, {path: values[field.name] for path, field in fields.items()})
+
+    return StructConstructorSpec(made, tuple(fields.values()))
+
+
+def _option_text(owner: type, name: str, when: str) -> str:
+    """Return the help text of a setting that is an option, and when to change it."""
+    return f"{help_text(owner, name)} When to change it: {when[0].lower()}{when[1:]}"
+
+
 def settings_groups(command: type) -> dict[str, str]:
     """Return the groups of settings of a command: the prefix of their options, and what they are."""
     groups: dict[str, str] = {}
@@ -62,10 +104,15 @@ def settings_groups(command: type) -> dict[str, str]:
     for field in dataclasses.fields(command):
         kind = _without_annotation(hints[field.name])
         if _is_group(field, hints[field.name]):
-            groups[field.name.replace("_", "-")] = _help_text(command, field.name) or ""
+            groups[field.name.replace("_", "-")] = help_text(command, field.name) or ""
         elif dataclasses.is_dataclass(kind):
             assert isinstance(kind, type)
-            groups |= settings_groups(kind)
+            table = field.metadata.get(OPTIONS)
+            groups |= {
+                name: text
+                for name, text in settings_groups(kind).items()
+                if table is None or any(option.startswith(f"{name}.") for option in table)
+            }
     return groups
 
 
@@ -102,7 +149,7 @@ def _default(field: dataclasses.Field[Any], of_command: Any) -> Any:
     return tyro.MISSING_NONPROP if field.default_factory is dataclasses.MISSING else field.default_factory()
 
 
-def _help_text(command: type, name: str) -> str | None:
+def help_text(command: type, name: str) -> str | None:
     """Return the docstring under a field of a dataclass or of its bases, on one line, and its allowed values."""
     text = next((texts[name] for base in command.__mro__ if name in (texts := _help_texts(base))), None)
     return " ".join(filter(None, (text, allowed(command, name)))) or None

@@ -157,7 +157,7 @@ class FlightOptions(Settings):
         """
         from dronevio.models.imu_presets import imu_named
         from dronevio.models.quadrotor import vehicle_named
-        from dronevio.recorder import rig_of
+        from dronevio.recording.recorder import rig_of
         from dronevio.sim.cameras.imaging import image_sensor_named
         from dronevio.sim.scenarios import scenario_named
         from dronevio.sim.world import require_world

@@ -74,8 +74,8 @@ class RecordingOptions(Settings):
         axes = "XYZ" if is_estimated else self.imu_rotation
         recording = open_recording(path, self.cameras, self.calibration, self.topics, repair, imu, axes)
         if is_estimated:
-            from dronevio.imu_rotation import with_estimated_rotation
             from dronevio.models.recordings.gopro import VideoRecording
+            from dronevio.recording.imu_rotation import with_estimated_rotation
 
             assert isinstance(recording, VideoRecording)  # others refuse the option
             recording = with_estimated_rotation(recording)

@@ -16,7 +16,8 @@ import tyro
 
 from dronevio.cli.fields import registry, settings_groups
 from dronevio.cli.progress import Bars, LineBars, NoBars, RichBars
-from dronevio.cli.usage import WIDTH, range_message, usage_message
+from dronevio.cli.settings.changes import with_changes
+from dronevio.cli.usage import WIDTH, range_message, setting_message, usage_message
 from dronevio.models.errors import ConfigError
 from dronevio.models.ranges import RangeError
 
@@ -53,10 +54,13 @@ def parse(
 
     Raises:
         ConfigError: An argument is wrong or missing; the message names the option.
+        InputError: A file of settings cannot be read.
     """
     asked = [word for word in arguments if word in HELP]
     is_short = bool(asked) and HELP_ALL not in asked
     prog = f"dronevio {name}"
+    if not asked:
+        defaults = with_changes(command, arguments, defaults)
 
     def call() -> Command:
         return tyro.cli(
@@ -81,7 +85,8 @@ def parse(
     except SystemExit as end:
         if end.code != 2:
             raise
-        raise ConfigError(usage_message(printed.getvalue(), prog)) from None
+        message = setting_message(command, arguments) or usage_message(printed.getvalue(), prog)
+        raise ConfigError(message) from None
     except RangeError as error:
         raise ConfigError(range_message(error, command, arguments)) from None
 

@@ -1,11 +1,9 @@
 """Wrong arguments of a command, explained on one line: tyro's messages without boxes, and settings by their options."""
 
-import dataclasses
 import re
-from collections.abc import Iterator, Sequence
-from typing import Annotated, get_args, get_origin
+from collections.abc import Sequence
 
-from dronevio.cli.imported_settings import field_types
+from dronevio.cli.settings.named_fields import named_fields
 from dronevio.models.ranges import FINITE, RangeError, number_fields
 
 WIDTH = 10_000
@@ -50,31 +48,28 @@ def range_message(error: RangeError, command: type, arguments: Sequence[str]) ->
         command: The dataclass of the command.
         arguments: The words after the command's name; of several options for such a field, those in them count.
     """
-    matching = [name for name, owner, field in options(command) if field == error.field and owner is error.settings]
+    fields = [each for each in named_fields(command) if each.owner is error.settings and each.path[-1] == error.field]
+    matching = [f"--{each.name}" if each.is_option else f"--set {each.name}" for each in fields]
     given = {word.partition("=")[0].replace("_", "-") for word in arguments}
     names = [name for name in matching if name in given] or matching
     return f"{' or '.join(names)} {error.problem}" if names else str(error)
 
 
-def options(command: type, prefix: str = "") -> Iterator[tuple[str, type, str]]:
-    """Yield the name of each option of a command, the dataclass that it belongs to, and the name of the field.
+def setting_message(command: type, arguments: Sequence[str]) -> str | None:
+    """Return what to type in place of the first argument that is a setting, but no option; None if there is none.
 
     Args:
-        command: The dataclass of the command, or one of the dataclasses in it.
-        prefix: Names of the fields in which the dataclass is nested.
+        command: The dataclass of the command.
+        arguments: The words after the command's name.
     """
-    hints = field_types(command, with_settings=True)
-    for field in dataclasses.fields(command):
-        hint = hints[field.name]
-        name, kind = f"{prefix}{field.name}".replace("_", "-"), hint
-        if get_origin(hint) is Annotated:
-            kind, *metadata = get_args(hint)
-            if any(getattr(each, "name", None) == "" for each in metadata):
-                name = prefix.rstrip(".")
-        if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-            yield from options(kind, f"{name}." if name else "")
-        else:
-            yield f"--{name}", command, field.name
+    others = {each.name: each for each in named_fields(command) if not each.is_option}
+    for word in arguments:
+        name = word.partition("=")[0].removeprefix("--").replace("_", "-")
+        is_off = name.rpartition(".")[2].startswith("no-")
+        name = name if name in others or not is_off else name.replace(".no-", ".")
+        if word.startswith("--") and name in others:
+            return f"--{name} is a setting, but no option; expected --set {name}={'false' if is_off else 'VALUE'}"
+    return None
 
 
 def allowed(command: type, name: str) -> str | None:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dronevio.driver import estimate_recording
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
+from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.alignment import align
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.run import EstimatorRun
@@ -137,9 +137,10 @@ def _accuracy(truth: Trajectory, estimate: Trajectory) -> Iterator[Finding]:
     true, rows = interpolate(truth, estimate.t_ns)
     if len(true) < 10:
         return
-    found = estimate[rows]
+    estimated = estimate[rows]
     errors_m = np.linalg.norm(
-        align(true.p_world_imu, found.p_world_imu, "yaw").positions(found.p_world_imu) - true.p_world_imu, axis=1
+        align(true.p_world_imu, estimated.p_world_imu, "yaw").positions(estimated.p_world_imu) - true.p_world_imu,
+        axis=1,
     )
     ate_m, path_m = float(np.sqrt(np.mean(errors_m**2))), true.length_m
     limit_m = max(0.02 * path_m, 0.05)

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass, field
 
-from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig
-from dronevio.estimator.slam.mapping import MappingConfig
-from dronevio.estimator.slam.recognizer import PlaceConfig
+from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentConfig
+from dronevio.estimator.slam.mapper import MappingConfig
+from dronevio.estimator.slam.places.recognizer import PlaceConfig
 from dronevio.estimator.slam.schedule import AdjustmentScheduleConfig, DelayConfig
 from dronevio.models.ranges import Settings
 

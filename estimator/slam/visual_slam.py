@@ -19,15 +19,23 @@ from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.preintegration import PreintegrationParams
 from dronevio.estimator.keyframe_observer import OdometryKeyframe
-from dronevio.estimator.slam.adjuster import solved
-from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs
+from dronevio.estimator.odometry import VisualInertialOdometry
+from dronevio.estimator.slam.adjustment.adjuster import solved
+from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentInputs
+from dronevio.estimator.slam.adjustment.final_graph import at_optimum, measured_in_map
+from dronevio.estimator.slam.adjustment.flight_measurements import FlightMeasurements, KeyframeMeasurements
+from dronevio.estimator.slam.adjustment.structure import map_structure
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
-from dronevio.estimator.slam.final_graph import at_optimum, measured_in_map
-from dronevio.estimator.slam.flight_measurements import FlightMeasurements, KeyframeMeasurements
-from dronevio.estimator.slam.g2o import write_g2o
-from dronevio.estimator.slam.map_arrays import MapSummary
-from dronevio.estimator.slam.map_builder import (
+from dronevio.estimator.slam.files.g2o import write_g2o
+from dronevio.estimator.slam.files.map_file import read_map, write_map
+from dronevio.estimator.slam.files.saved_arrays import MIN_KEYFRAMES
+from dronevio.estimator.slam.files.saved_map import SavedMap, saved_map
+from dronevio.estimator.slam.map.map_arrays import MapSummary
+from dronevio.estimator.slam.map.pose_graph import OptimizedGraph, PoseGraph
+from dronevio.estimator.slam.mapper import Mapper
+from dronevio.estimator.slam.schedule import CorrectionSchedule
+from dronevio.estimator.slam.worker.map_builder import (
     ImagedKeyframe,
     LocalMap,
     MapCost,
@@ -37,16 +45,8 @@ from dronevio.estimator.slam.map_builder import (
     TrackLost,
     WindowKeyframe,
 )
-from dronevio.estimator.slam.map_file import read_map, write_map
-from dronevio.estimator.slam.map_process import MapProcess
-from dronevio.estimator.slam.mapping import Mapper
-from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph
-from dronevio.estimator.slam.saved_arrays import MIN_KEYFRAMES
-from dronevio.estimator.slam.saved_map import SavedMap, saved_map
-from dronevio.estimator.slam.schedule import CorrectionSchedule
-from dronevio.estimator.slam.structure import map_structure
+from dronevio.estimator.slam.worker.map_process import MapProcess
 from dronevio.estimator.threads import single_threaded
-from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.map_correction import MapCorrection
@@ -150,7 +150,7 @@ class VisualSlam:
             correction = self._map.receive()
             if correction is None:
                 continue
-            self._loops = max(self._loops, correction.judged_loops)
+            self._loops = max(self._loops, correction.tested_loops)
             if correction.track == self._track:
                 self._T_map_odom, self._correction = correction.T_map_odom, correction
                 events += _events(correction)
@@ -203,12 +203,12 @@ class VisualSlam:
         mapper, solution = final.mapper, final.solution
         if solution is None:
             return None
-        found = replace(mapper.map_of(solution), adjustment=final.adjustment)
+        slam_map = replace(mapper.map_of(solution), adjustment=final.adjustment)
         # The correction is that of the causal path, which is then at the final poses where the keyframes are.
         return (
-            replace(found, Ts_odom_imu=self._measurements.causal_poses(mapper.keyframes))
-            if len(found.closed)
-            else found
+            replace(slam_map, Ts_odom_imu=self._measurements.causal_poses(mapper.keyframes))
+            if len(slam_map.closed)
+            else slam_map
         )
 
     def save_map(self, path: Path | str) -> None:
@@ -319,8 +319,8 @@ class VisualSlam:
             ConfigError: No keyframe of the flight has joined the map, or the recording is another one.
             InputError: The file cannot be written, or an image cannot be read.
         """
-        found = self.reconstruction()
-        write_ply(Path(path), found.reconstruction if recording is None else with_images(found, recording))
+        structure = self.reconstruction()
+        write_ply(Path(path), structure.reconstruction if recording is None else with_images(structure, recording))
 
     @single_threaded()
     def _final_solution(self) -> "_Final":

@@ -189,7 +189,7 @@ class EstimateLog:
             return aligned
         t_ns = np.array([e.t_ns for e in estimates], dtype=np.int64)
         self._log_tracks(estimates, t_ns)
-        self._log_landmarks([e for e in estimates if e.landmarks_world is not None])
+        self._log_landmarks([e for e in estimates if e.landmarks_odom is not None])
         self._events.log(estimates)
         self._log_map(estimates)
         self._sink.values(self._entities.cost, t_ns, cpu_ms)
@@ -274,7 +274,7 @@ class EstimateLog:
         """Log the landmarks of estimates that have some; the view shows all, and the present ones brightly."""
         if not estimates or self._alignment is None:
             return
-        points = [self._alignment.positions(e.landmarks_world) for e in estimates if e.landmarks_world is not None]
+        points = [self._alignment.positions(e.landmarks_odom) for e in estimates if e.landmarks_odom is not None]
         t_ns = np.array([e.t_ns for e in estimates], dtype=np.int64)
         columns = rr.Points3D.columns(positions=np.concatenate(points)).partition([len(p) for p in points])
         for entity in (self._entities.landmarks, self._entities.visible_landmarks):

@@ -28,7 +28,7 @@ class NamedShape:
     """Name and shape of an observation."""
 
     name: str
-    """Name of the observation; see `dronevio.sim.envs.observations`."""
+    """Name of the observation; see `dronevio.sim.envs.sensing.observations`."""
     shape: tuple[int, ...]
     """Shape of the observation of one drone."""
 

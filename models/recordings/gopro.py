@@ -19,7 +19,6 @@ import numpy.typing as npt
 
 from dronevio.models.defects import Defect, DefectKind
 from dronevio.models.errors import ConfigError, InputError
-from dronevio.models.image_sets.video import VideoFrames, read_video_index
 from dronevio.models.imu import ImuModel, ImuSamples, Times
 from dronevio.models.recordings.calibration.reading import calibration_of
 from dronevio.models.recordings.calibration.yaml_document import YamlDocument, read_yaml
@@ -29,6 +28,7 @@ from dronevio.models.recordings.frame_truth import FrameTruth
 from dronevio.models.recordings.gpmf import SENSORS, SensorPayload, axes_matrix, read_payload
 from dronevio.models.recordings.repair import imu_defects
 from dronevio.models.recordings.split_imu import interpolated_accel
+from dronevio.models.recordings.video_frames import VideoFrames, read_video_index
 from dronevio.models.rig import Rig, check_camera_count
 from dronevio.models.state import NO_IMAGE, CameraFrame, Trajectory
 
@@ -101,12 +101,12 @@ class VideoRecording:
         t_ns = np.array([round(pts * index.time_base * 10**9) for pts in index.pts.tolist()], dtype=np.int64)
         samples = read_telemetry(path)
         documents = [_with_pose(read_yaml(Path(file)), imu_rotation) for file in calibration]
-        found = calibration_of(documents, rate_hz(t_ns, 30.0))
-        model = imu or found.imu
+        calibration_set = calibration_of(documents, rate_hz(t_ns, 30.0))
+        model = imu or calibration_set.imu
         if model is None:
             expected = "Kalibr's imu.yaml as well, or the name of an IMU (--imu MPU-6050)"
             raise InputError(calibration[0], "no noise densities of the IMU", expected)
-        rig = replace(found, imu=replace(model, rate_hz=rate_hz(samples.t_ns, model.rate_hz))).rig()
+        rig = replace(calibration_set, imu=replace(model, rate_hz=rate_hz(samples.t_ns, model.rate_hz))).rig()
         size = rig.cameras[0].model.width, rig.cameras[0].model.height
         if (index.width, index.height) != size:
             raise InputError(

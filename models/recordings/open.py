@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuModel, Times
-from dronevio.models.recordings import dso_folder, kitti_folder, tum
+from dronevio.models.recordings import dso_folder, kitti_folder
 from dronevio.models.recordings.bag.options import STORAGES, BagTopics
 from dronevio.models.recordings.calibration.euroc import count_cameras, read_euroc_rig
 from dronevio.models.recordings.calibration.kalibr import CAMCHAIN_FILE
 from dronevio.models.recordings.calibration.reading import read_calibrated_rig
 from dronevio.models.recordings.euroc import EurocRecording, find_mav0, read_euroc_segment_times
 from dronevio.models.recordings.segments import most_common
+from dronevio.models.recordings.trajectory_file import read_trajectory_file
 from dronevio.models.rig import Rig
 from dronevio.models.state import Trajectory
 
@@ -137,7 +138,7 @@ def read_trajectory(path: Path, poses_ns: Times | None = None) -> Trajectory:
     if dso_folder.is_dso_folder(path):
         return dso_folder.read_dso_truth(path)
     if not is_bag(path):
-        return tum.read_trajectory(path)
+        return read_trajectory_file(path)
     from dronevio.models.recordings.bag.recording import read_truth
 
     return read_truth(path, poses_ns)

@@ -9,9 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dronevio.models.errors import InputError
-from dronevio.models.recordings import kitti
-from dronevio.models.recordings.files import first_row, write_text
+from dronevio.models.recordings.files import write_text
 from dronevio.models.recordings.timed_table import (
     Repeated,
     TableFormat,
@@ -65,34 +63,6 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
     poses = np.hstack([trajectory.p_world_imu, quat_xyzw_from_wxyz(trajectory.quat_wxyz)])
     rows = zip(trajectory.t_ns.tolist(), poses.tolist(), strict=True)
     write_text(Path(path), _HEADER + "".join(f"{_seconds(t)} {' '.join(map(repr, pose))}\n" for t, pose in rows))
-
-
-def read_trajectory(
-    path: Path, repeated: Repeated = "refuse", times: Path | None = None, notice: Notice = no_notice
-) -> Trajectory:
-    """Read a trajectory in TUM, KITTI or EuRoC format.
-
-    Args:
-        path: A TUM file, a KITTI file, a ground-truth CSV file of EuRoC, or an EuRoC folder with ground truth.
-        repeated: Treatment of rows of a TUM file that repeat the time stamp of the previous row.
-        times: The ``times.txt`` of a KITTI file, None for 10 Hz.
-        notice: Function that receives a message if there are such rows.
-
-    Raises:
-        InputError: The file is missing, damaged or in another format, or ``times`` is given for a file with time
-            stamps.
-    """
-    path = Path(path)
-    row = "," if path.is_dir() else first_row(path, "a TUM, KITTI or EuRoC trajectory")
-    if "," not in row and len(row.split()) in kitti.COLUMNS:
-        return kitti.read_kitti(path, times)
-    if times is not None:
-        raise InputError(path, "a trajectory with time stamps", f"a KITTI trajectory, to which {times} applies")
-    if "," not in row:
-        return read_tum(path, repeated, notice)
-    from dronevio.models.recordings.euroc import read_groundtruth, read_recording_truth
-
-    return read_recording_truth(path) if path.is_dir() else read_groundtruth(path)
 
 
 def _seconds(t_ns: int) -> str:

@@ -6,13 +6,13 @@ from dronevio._lazy import attach
 
 if TYPE_CHECKING:
     from dronevio.models.actions import ActionLimits
-    from dronevio.sim.envs.conversion import policy_from_sb3, policy_from_torch, provenance_of
-    from dronevio.sim.envs.distributions import Constant, LogUniform, Normal, Uniform
-    from dronevio.sim.envs.estimation import Estimation
-    from dronevio.sim.envs.goal_flight import fly_to_goal
-    from dronevio.sim.envs.mission import PolicyMission, policy_mission, policy_outcome
-    from dronevio.sim.envs.pilot import PolicyPilot
-    from dronevio.sim.envs.randomization import MODERATE, Randomization
+    from dronevio.sim.envs.episodes.distributions import Constant, LogUniform, Normal, Uniform
+    from dronevio.sim.envs.episodes.randomization import MODERATE, Randomization
+    from dronevio.sim.envs.policies.conversion import policy_from_sb3, policy_from_torch, provenance_of
+    from dronevio.sim.envs.policies.goal_flight import fly_to_goal
+    from dronevio.sim.envs.policies.mission import PolicyMission, policy_mission, policy_outcome
+    from dronevio.sim.envs.policies.pilot import PolicyPilot
+    from dronevio.sim.envs.sensing.estimation import Estimation
     from dronevio.sim.envs.settings import EnvironmentSettings
     from dronevio.sim.envs.single import DroneEnv
     from dronevio.sim.envs.tasks import Hover, Navigate, Race, Track, VioHover, VioNavigate, Waypoints
@@ -53,13 +53,13 @@ __getattr__, __dir__ = attach(
     __name__,
     {
         "dronevio.models.actions": ("ActionLimits",),
-        "dronevio.sim.envs.conversion": ("policy_from_sb3", "policy_from_torch", "provenance_of"),
-        "dronevio.sim.envs.distributions": ("Constant", "LogUniform", "Normal", "Uniform"),
-        "dronevio.sim.envs.estimation": ("Estimation",),
-        "dronevio.sim.envs.goal_flight": ("fly_to_goal",),
-        "dronevio.sim.envs.mission": ("PolicyMission", "policy_mission", "policy_outcome"),
-        "dronevio.sim.envs.pilot": ("PolicyPilot",),
-        "dronevio.sim.envs.randomization": ("MODERATE", "Randomization"),
+        "dronevio.sim.envs.policies.conversion": ("policy_from_sb3", "policy_from_torch", "provenance_of"),
+        "dronevio.sim.envs.episodes.distributions": ("Constant", "LogUniform", "Normal", "Uniform"),
+        "dronevio.sim.envs.sensing.estimation": ("Estimation",),
+        "dronevio.sim.envs.policies.goal_flight": ("fly_to_goal",),
+        "dronevio.sim.envs.policies.mission": ("PolicyMission", "policy_mission", "policy_outcome"),
+        "dronevio.sim.envs.policies.pilot": ("PolicyPilot",),
+        "dronevio.sim.envs.episodes.randomization": ("MODERATE", "Randomization"),
         "dronevio.sim.envs.settings": ("EnvironmentSettings",),
         "dronevio.sim.envs.single": ("DroneEnv",),
         "dronevio.sim.envs.tasks": (

@@ -4,8 +4,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.chase_camera import ChaseCamera, lease_chase_camera
 from dronevio.sim.envs.settings import EnvironmentSettings
+from dronevio.sim.pictures.chase_camera import ChaseCamera, lease_chase_camera
 from dronevio.sim.rendering.shared import Lease
 from dronevio.sim.rendering.window import Window, has_display, require_display
 

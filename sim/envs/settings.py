@@ -8,10 +8,11 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import RESEARCH, Quadrotor, vehicle_named
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig, euroc_rig
-from dronevio.sim.envs.camera_observation import ImageKind
-from dronevio.sim.envs.estimation import Estimation, EstimatorFactory
-from dronevio.sim.envs.observations import IMAGES
-from dronevio.sim.envs.randomization import NOTHING_RANDOM, Randomization
+from dronevio.models.rotation import exp_so3, pose_matrix
+from dronevio.sim.envs.episodes.randomization import NOTHING_RANDOM, Randomization, RandomizedParameters
+from dronevio.sim.envs.sensing.camera_observation import ImageKind, ImageSettings, RenderedObservation
+from dronevio.sim.envs.sensing.estimation import CameraSetup, Estimation, EstimatorFactory
+from dronevio.sim.envs.sensing.observations import IMAGES
 from dronevio.sim.envs.tasks import AnyTask, Hover, task_named
 from dronevio.sim.physics.wind import CALM, Wind
 
@@ -38,7 +39,7 @@ class EnvironmentSettings(Settings):
     action_limits: ActionLimits = field(default_factory=ActionLimits)
     """Largest rates, tilt and velocities that actions command."""
     observations: tuple[str, ...] = ()
-    """Names of the observations, see `dronevio.sim.envs.observations`; those of the task by default."""
+    """Names of the observations, see `dronevio.sim.envs.sensing.observations`; those of the task by default."""
     privileged: tuple[str, ...] = ()
     """Names of further observations for a critic. The observation is then a ``Dict`` with the entries ``policy`` and
     ``critic``."""
@@ -62,7 +63,7 @@ class EnvironmentSettings(Settings):
     actions by default."""
     estimator: EstimatorFactory | None = None
     """Function that returns an estimator for a rig; the policy and the inner control loops then see its estimate
-    instead of the true state, see `dronevio.sim.envs.estimation`. None uses the true state."""
+    instead of the true state, see `dronevio.sim.envs.sensing.estimation`. None uses the true state."""
     estimation: Estimation = field(default_factory=Estimation)
     """Settings of the estimator in the loop: latency, longest wait, darkness and image sensors."""
     threads: Annotated[int, Range(0, 1024)] = 1
@@ -108,10 +109,19 @@ class EnvironmentSettings(Settings):
         return round(self.imu_rate_hz / self.action_rate_hz)
 
     @property
+    def observed(self) -> tuple[str, ...]:
+        """Names of all observations, those of the policy first."""
+        return (*self.observations, *self.privileged)
+
+    @property
     def images(self) -> tuple[ImageKind, ...]:
         """Names of all observed images."""
-        named = {*self.observations, *self.privileged}
-        return tuple(kind for kind in IMAGES if kind in named)
+        return tuple(kind for kind in IMAGES if kind in self.observed)
+
+    @property
+    def has_imu(self) -> bool:
+        """Whether the policy, a critic or an estimator receives measurements of the IMU."""
+        return self.estimator is not None or not {"imu", "imu_bias"}.isdisjoint(self.observed)
 
     @property
     def steps_per_image(self) -> int:
@@ -122,6 +132,31 @@ class EnvironmentSettings(Settings):
     def episode_steps(self) -> int:
         """Number of actions until the time limit of the task."""
         return round(self.task.episode_s * self.action_rate_hz)
+
+    def image_source(self, texture_seed: int) -> RenderedObservation:
+        """Return the renderer of the observed images, of the world with a seed of its textures."""
+        images = ImageSettings(self.images, *self.image_size)
+        return RenderedObservation(self.rig.cameras[self.camera], self.world, self.world_seed, images, texture_seed)
+
+    def cameras_of_episode(self, draws: RandomizedParameters, noise_seed: int) -> CameraSetup:
+        """Return the true cameras of an episode, with drawn mounting errors, light and textures.
+
+        Args:
+            draws: Randomization of the episode, one row.
+            noise_seed: Seed of the image noise.
+        """
+        error = pose_matrix(exp_so3(draws.camera_rotation_rad[0]), draws.camera_translation_m[0])
+        cameras = tuple(replace(camera, T_imu_cam=error @ camera.T_imu_cam) for camera in self.rig.cameras)
+        imaging = self.estimation.imaging
+        return CameraSetup(
+            rig=replace(self.rig, cameras=cameras),
+            world=self.world,
+            world_seed=self.world_seed,
+            texture_seed=int(draws.texture_seed[0]),
+            noise_seed=noise_seed,
+            # the light of a frame is irradiance × exposure time / nominal exposure time
+            imaging=replace(imaging, nominal_exposure_s=imaging.nominal_exposure_s / float(draws.light[0])),
+        )
 
 
 def settings_of(

@@ -8,10 +8,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.envs.arrangement import rows_of
 from dronevio.sim.envs.core import DroneCore
+from dronevio.sim.envs.episodes.actions import action_space
 from dronevio.sim.envs.info import Info, with_masks
 from dronevio.sim.envs.rendering import DronePictures, check_render_mode
+from dronevio.sim.envs.sensing.arrangement import rows_of
 from dronevio.sim.envs.settings import settings_of
 from dronevio.sim.envs.tasks import AnyTask
 from dronevio.sim.physics.vehicle_states import Mask
@@ -99,9 +100,9 @@ class DroneVectorEnv(VectorEnv[Any, npt.NDArray[np.floating[Any]], Any]):
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._ended = np.zeros(num_envs, dtype=np.bool_)
         self._started = False
-        self.single_action_space = self._core.action_space
-        self.single_observation_space = self._core.observation_space
-        self.observation_shapes = self._core.observation_shapes
+        self.single_action_space = action_space()
+        self.single_observation_space = self._core.arrangement.space
+        self.observation_shapes = self._core.arrangement.shapes
         """Shapes of the observations of one environment's policy by name, in order."""
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -111,8 +112,8 @@ class DroneVectorEnv(VectorEnv[Any, npt.NDArray[np.floating[Any]], Any]):
 
         Args:
             seed: Seed of all random numbers from now on; None continues the current stream.
-            options: ``reset_mask`` is a mask (n,) of the environments to reset; `dronevio.sim.envs.options` lists
-                values to use instead of drawn ones.
+            options: ``reset_mask`` is a mask (n,) of the environments to reset; `dronevio.sim.envs.episodes.options`
+                lists values to use instead of drawn ones.
 
         Returns:
             The observations of all environments, and the infos of those that were reset.

@@ -12,13 +12,13 @@ from typing import Any
 import psutil
 import pytest
 
-from dronevio.benchmark_jobs import Workbench, recorded_flights, versions
+from dronevio.benchmark.jobs import Workbench, recorded_flights, versions
 from dronevio.cli import main
+from dronevio.estimators.registry import ESTIMATORS, estimator_named
 from dronevio.eval.benchmark.ray_engine import RayEngine
 from dronevio.eval.benchmark.rows import Row, read_rows
 from dronevio.eval.benchmark.runner import BenchmarkPlan, run_benchmark
 from dronevio.eval.benchmark.store import ResultStore
-from dronevio.registry import ESTIMATORS, estimator_named
 
 pytestmark = pytest.mark.slow
 Result = Any  # the class of conftest, which cannot be imported

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from dronevio.benchmark_jobs import recorded_flights, scenario_flights
-from dronevio.benchmark_variants import variant_of
+from dronevio.benchmark.jobs import recorded_flights, scenario_flights
+from dronevio.benchmark.variants import variant_of
 from dronevio.cli import main
+from dronevio.estimators.registry import ESTIMATORS, estimator_named
 from dronevio.models.errors import ConfigError, EvaluationError, InputError
 from dronevio.models.rig_presets import rig_named
-from dronevio.registry import ESTIMATORS, estimator_named
 from dronevio.sim.scenarios import scenario_named
 
 Result = Any  # the class of conftest, which cannot be imported

@@ -13,7 +13,8 @@ import pytest
 import tyro
 
 from dronevio import __version__, book
-from dronevio.cli import COMMANDS, main, policy, speed
+from dronevio.cli import COMMANDS, main
+from dronevio.cli.commands import policy, speed
 from dronevio.cli.dispatch import CommandGroup
 
 HEAVY = {"cv2", "gtsam", "gymnasium", "matplotlib", "mujoco", "numpy", "rerun", "rich", "scipy", "tyro"}

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from dronevio.models.rotation import exp_so3
-from dronevio.recorder import rig_of
+from dronevio.recording.recorder import rig_of
 
 
 @pytest.fixture(scope="module")

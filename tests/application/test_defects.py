@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from dronevio.cli import main
-from dronevio.driver import estimate_recording
+from dronevio.estimators.driver import estimate_recording
 from dronevio.models.defects import DefectKind
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuSamples

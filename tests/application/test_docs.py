@@ -16,14 +16,16 @@ import yaml
 import dronevio
 from dronevio.cli import main
 from dronevio.cli.terminal import HELP_ALL
+from dronevio.estimators.registry import ESTIMATORS
 from dronevio.eval.benchmark.rows import read_rows, write_rows
-from dronevio.registry import ESTIMATORS
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 DOCS = CHECKOUT / "docs"
 GENERATED = ("environments/", "lessons/", "reference/cli/", "reference/api/")
 FOREIGN_OPTIONS = {"--correct_scale", "--dataset-type"}
 """Options of other programs that pages name."""
+NAMED_FILE = re.compile(r"`((?:models|sim|estimator|eval|dronevio|tools|tests)/[\w./]*|benchmarks/\w+\.\w+)`")
+"""Files of the repository in a text; the results of ``dronevio benchmark`` are in folders of ``benchmarks/``."""
 
 pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="not a checkout")
 
@@ -75,7 +77,7 @@ def test_python_names_in_pages_exist(page: str, exists: Callable[[str], bool]) -
 
 @pytest.mark.parametrize("page", PAGES)
 def test_files_that_pages_name_exist(page: str) -> None:
-    named = re.findall(r"`((?:models|sim|estimator|eval|dronevio|scripts|tests)/[\w./]*)`", text_of(page))
+    named = NAMED_FILE.findall(text_of(page))
     assert [name for name in named if not (CHECKOUT / name).exists()] == []
 
 
@@ -128,7 +130,7 @@ def test_benchmark_page_lists_all_estimators() -> None:
 def helps() -> dict[str, str]:
     """Return the help text of every command, by its words."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(CHECKOUT / "scripts")
+        patch.syspath_prepend(CHECKOUT / "tools")
         reference = importlib.import_module("cli_reference")
     return {" ".join(command.words): command.help for command in reference.commands()}
 
@@ -207,7 +209,7 @@ def test_contributing_names_targets_of_make() -> None:
     targets = set(re.findall(r"^([a-z-]+):", (CHECKOUT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     named = set(re.findall(r"(?:^|`)make ([a-z-]+)", contributing, re.MULTILINE))
     assert {"setup", "test", "check", "docs", "docs-serve"} <= named <= targets
-    named_files = re.findall(r"`((?:models|sim|estimator|eval|dronevio|scripts|tests)/[\w./]*)`", contributing)
+    named_files = NAMED_FILE.findall(contributing)
     assert named_files and all((CHECKOUT / name).exists() for name in named_files)
 
 
@@ -230,7 +232,7 @@ def test_workflows_run_what_exists_on_every_python() -> None:
     ]
     named = {target for run in runs if run.startswith("make ") for target in run.split()[1:]}
     assert {"lint", "types", "test", "docs"} <= named <= targets
-    assert all((CHECKOUT / run.split()[0]).exists() for run in runs if run.startswith("scripts/"))
+    assert all((CHECKOUT / run.split()[0]).exists() for run in runs if run.startswith("tools/"))
     matrix = workflows["checks.yml"]["jobs"]["tests"]["strategy"]["matrix"]
     assert matrix["python"] == ["3.11", "3.12", "3.13", "3.14"]
     assert {system.split("-")[0] for system in matrix["os"]} == {"ubuntu", "macos"}

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 import dronevio as dv
-from dronevio.benchmark_jobs import scenario_flights
+from dronevio.benchmark.jobs import scenario_flights
 from dronevio.cli import main
-from dronevio.cli.estimate import EstimateCommand, check_places, numbered, result_files
+from dronevio.cli.commands.estimate import EstimateCommand, check_places, numbered, result_files
+from dronevio.estimators.registry import ESTIMATORS, estimator_named
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples
@@ -24,7 +25,6 @@ from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import inverse_pose
-from dronevio.registry import ESTIMATORS, estimator_named
 from dronevio.sim.cameras.imaging import VI_SENSOR
 from dronevio.sim.scenario import Scenario
 
@@ -184,8 +184,8 @@ def test_a_saved_map_is_continued(
     expected = odometry.p_world_imu[np.isin(odometry.t_ns, in_map.t_ns)]
     np.testing.assert_allclose(in_map.p_world_imu, expected, atol=0.01)
 
-    monkeypatch.setattr("dronevio.estimator.slam.recognizer.PlaceRecognizer.add", lambda *_: ())
-    monkeypatch.setattr("dronevio.estimator.slam.recognizer.PlaceRecognizer.locate", lambda *_: None)
+    monkeypatch.setattr("dronevio.estimator.slam.places.recognizer.PlaceRecognizer.add", lambda *_: ())
+    monkeypatch.setattr("dronevio.estimator.slam.places.recognizer.PlaceRecognizer.locate", lambda *_: None)
     apart = run_command(tmp_path, "estimate", recording, "--slam", "--map.no-worker", "--map", saved, "--out", out)
     assert re.search(r"first pose in the loaded map after +never", apart.out)
     assert len(out.read_text().splitlines()) > 50
@@ -247,7 +247,7 @@ def test_exports_of_segments_have_numbers(tmp_path: Path) -> None:
 def test_dead_mapping_process_is_reported_as_a_defect(
     stereo: Result, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dronevio.estimator.slam.map_process._WORKER", "import os; os._exit(3)")
+    monkeypatch.setattr("dronevio.estimator.slam.worker.map_process._WORKER", "import os; os._exit(3)")
     out = tmp_path / "x.tum"
     assert main(["estimate", str(stereo.folder / "recording"), "--slam", "--out", str(out)]) == 70
     assert "the mapping process ended with code 3" in capsys.readouterr().err

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dronevio.benchmark_jobs import excerpts, recorded_flights
+from dronevio.benchmark.jobs import excerpts, recorded_flights
 from dronevio.cli import main
+from dronevio.estimators.registry import estimator_named
 from dronevio.eval.benchmark.rows import read_rows
-from dronevio.excerpts import RecordingTail, RepeatedRecording, SplicedRecording, excerpt_of
 from dronevio.models.errors import ConfigError
 from dronevio.models.protocols import Recording, measurements
 from dronevio.models.state import CameraFrame
-from dronevio.registry import estimator_named
+from dronevio.recording.excerpts import RecordingTail, RepeatedRecording, SplicedRecording, excerpt_of
 
 Result = Any  # the class of conftest, which cannot be imported
 CommandRunner = Callable[..., Result]

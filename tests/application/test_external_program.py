@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dronevio.external_program import check_pose_times, copy_sensor_data, run_program
+from dronevio.estimators.external_program import check_pose_times, copy_sensor_data, run_program
+from dronevio.estimators.registry import estimator_named
 from dronevio.models.errors import EvaluationError
 from dronevio.models.recordings.euroc import GROUND_TRUTH_FILE, EurocRecording, write_euroc_recording
-from dronevio.registry import estimator_named
 
 Make = Callable[..., Any]
 

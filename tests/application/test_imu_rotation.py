@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 import pytest
 
-from dronevio.imu_rotation import with_estimated_rotation
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.recordings.gopro import VideoRecording, imu_rotation_named
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import exp_so3, log_so3
+from dronevio.recording.imu_rotation import with_estimated_rotation
 
 K = np.array([[200.0, 0.0, 159.5], [0.0, 200.0, 119.5], [0.0, 0.0, 1.0]])
 

@@ -14,8 +14,8 @@ import pytest
 from rerun.chunk import RrdReader
 
 from dronevio.cli import main
-from dronevio.cli.log import names_of
-from dronevio.cli.view import viewer_program
+from dronevio.cli.commands.log import names_of
+from dronevio.cli.commands.view import viewer_program
 from dronevio.models.errors import ConfigError
 from dronevio.models.recordings.open import read_trajectory
 from dronevio.models.recordings.tum import write_tum

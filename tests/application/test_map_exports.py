@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dronevio.estimator.slam.g2o import write_g2o
-from dronevio.estimator.slam.odometry_factors import RelativePose
-from dronevio.estimator.slam.pose_graph import PoseGraph
+from dronevio.estimator.slam.files.g2o import write_g2o
+from dronevio.estimator.slam.map.odometry_factors import RelativePose
+from dronevio.estimator.slam.map.pose_graph import PoseGraph
 from dronevio.models.rotation import pose_matrix, rotation_z
 
 

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dronevio.benchmark_jobs import Workbench, measured_recordings, versions
-from dronevio.cli import benchmark, main
+from dronevio.benchmark.jobs import Workbench, measured_recordings, versions
+from dronevio.benchmark.measured_flights import MEASURED, measured_flights, measured_name
+from dronevio.cli import main
+from dronevio.cli.commands import benchmark
 from dronevio.cli.terminal import parse
-from dronevio.measured_flights import MEASURED, measured_flights, measured_name
 from dronevio.models.errors import ConfigError
 from dronevio.models.recordings.euroc import EurocRecording, read_imu
 from dronevio.models.rig_presets import rig_named
@@ -115,7 +116,7 @@ def test_the_recording_has_the_measured_samples(measured_data: Path, tmp_path: P
 @pytest.mark.slow
 def test_measured_paths_fit_into_their_worlds(data_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found: list[Any] = []
-    monkeypatch.setattr("dronevio.recorder.record_refly", lambda flown, *_, **__: found.append(flown))
+    monkeypatch.setattr("dronevio.recording.recorder.record_refly", lambda flown, *_, **__: found.append(flown))
     flights, left_out = measured_flights(["loops"])
     assert [flight.name for flight in flights] == list(MEASURED) and left_out == ""
     for flight in flights:

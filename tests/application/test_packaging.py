@@ -69,7 +69,7 @@ def test_lint_bans_imports_of_a_subpackage_by_its_bare_name() -> None:
 
 @in_checkout
 def test_set_up_installs_the_packages_of_the_doctor() -> None:
-    setup = (CHECKOUT / "scripts" / "setup.sh").read_text(encoding="utf-8")
+    setup = (CHECKOUT / "tools" / "setup.sh").read_text(encoding="utf-8")
     installed = re.search(r"^packages=\((.+?)\)", setup, re.MULTILINE)
     assert installed is not None
     assert f"sudo apt-get install -y {installed[1]}" == INSTALL_COMMAND

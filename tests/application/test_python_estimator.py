@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from dronevio.cli import main
+from dronevio.estimators.python_estimator import PythonEstimator
+from dronevio.estimators.registry import estimator_named
 from dronevio.models.errors import ConfigError
-from dronevio.python_estimator import PythonEstimator
-from dronevio.registry import estimator_named
 
 WHOLE = """
 class Odometry:
@@ -108,7 +108,7 @@ def test_settings_of_a_single_module_change_with_it_alone(package: Path) -> None
 def test_installed_modules_are_found_before_those_of_the_folder(tmp_path: Path) -> None:
     (tmp_path / "colorsys.py").write_text("raise RuntimeError('of the folder')", encoding="utf-8")
     code = (
-        "from dronevio.python_estimator import PythonEstimator;"
+        "from dronevio.estimators.python_estimator import PythonEstimator;"
         "PythonEstimator('colorsys', 'rgb_to_hsv').load(); print('installed')"
     )
     command = [sys.executable, "-P", "-c", code]  # -P: without the current folder, as the command dronevio

@@ -19,9 +19,9 @@ import psutil
 import pytest
 
 from dronevio.cli import main
-from dronevio.cli.run import print_report
-from dronevio.cli.view import viewer_program
-from dronevio.estimator.slam.map_file import read_map
+from dronevio.cli.commands.run import print_report
+from dronevio.cli.commands.view import viewer_program
+from dronevio.estimator.slam.files.map_file import read_map
 from dronevio.eval.metrics import score
 from dronevio.eval.provenance import RunInfo
 from dronevio.eval.report.model import ControlResult, EstimatorSummary, FlightSummary, RunReport, Timing

@@ -23,9 +23,9 @@ def test_list_of_seed_0_has_every_scenario_and_suite() -> None:
     listed = list_of_seed(0)
     expected = [(name, scenario.world, scenario.description) for name, scenario in SCENARIOS.items()]
     assert [(row.name, row.world, row.description) for row in listed.scenarios] == expected, (
-        "run scripts/scenario_list.py"
+        "run tools/scenario_list.py"
     )
-    assert {suite: tuple(names) for suite, names in listed.suites.items()} == SUITES, "run scripts/scenario_list.py"
+    assert {suite: tuple(names) for suite, names in listed.suites.items()} == SUITES, "run tools/scenario_list.py"
 
 
 def paths_without_repetition() -> list[ScenarioRow]:
@@ -51,7 +51,7 @@ def test_scenarios_with_the_same_path_have_the_same_figures() -> None:
 def test_listed_figures_are_those_of_the_planned_path(row: ScenarioRow) -> None:
     planned = planned_row(row.name, 0)
     listed, computed = ([r.duration_s, r.peak_speed_m_s, r.peak_rate_deg_s] for r in (row, planned))
-    assert computed == pytest.approx(listed, rel=0.01), "run scripts/scenario_list.py"
+    assert computed == pytest.approx(listed, rel=0.01), "run tools/scenario_list.py"
 
 
 def test_list_of_seed_0_is_printed_without_the_simulator() -> None:

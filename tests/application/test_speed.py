@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from dronevio.cli import main
-from dronevio.cli.speed.recording_cost import (
+from dronevio.cli.commands.speed.recording_cost import (
     Timing,
     measured_rig,
     measured_scenario,
@@ -15,8 +15,8 @@ from dronevio.cli.speed.recording_cost import (
 )
 from dronevio.models.performance import PerformanceFigure
 from dronevio.models.rig_presets import rig_named
-from dronevio.sim.batch_throughput import BatchTiming, figures_of
 from dronevio.sim.flight import fly
+from dronevio.sim.speed.batch_throughput import BatchTiming, figures_of
 
 
 @pytest.mark.slow

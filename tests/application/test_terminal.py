@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dronevio.cli.benchmark import print_benchmark
+from dronevio.cli.commands.benchmark import print_benchmark
 from dronevio.cli.options import Output, OutputOptions, RecordingInput, RecordingOptions
 from dronevio.cli.terminal import parse, print_table, print_values
 from dronevio.models.errors import ConfigError

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dronevio.benchmark.true_views import flight_views, planned_views, recording_revisits, recording_views
+from dronevio.cli.commands.fly import FlyCommand
+from dronevio.cli.commands.run import repeating_command
 from dronevio.cli.flight_options import FlightOptions, parse_flight
-from dronevio.cli.fly import FlyCommand
-from dronevio.cli.run import repeating_command
 from dronevio.eval.metrics.revisits import RevisitRule, find_revisits
 from dronevio.models.errors import InputError
 from dronevio.models.recordings.euroc import EurocRecording
 from dronevio.models.recordings.scenario_file import has_world
 from dronevio.sim.flight import fly
 from dronevio.sim.scenarios import SUITES, scenario_named
-from dronevio.true_views import flight_views, planned_views, recording_revisits, recording_views
 
 OPTIONS = ["--scenario", "room-easy", "--world-seed", "3", "--seed", "7", "--light-seed", "2", "--reverse"]
 
@@ -69,7 +69,7 @@ def test_the_first_revisit_is_that_of_the_true_motion(flown: Any, monkeypatch: p
     assert known.first_ns is None and known.revisiting.tolist() == [False, False, False]
     np.testing.assert_array_equal(known.keyframes.t_ns, recording_views(flown.folder, frames_ns[3:9:2]).t_ns)
     rule = RevisitRule(age_s=1.9, path_m=0.0)  # what is two seconds old is still in view
-    monkeypatch.setattr("dronevio.true_views.find_revisits", lambda views: find_revisits(views, rule))
+    monkeypatch.setattr("dronevio.benchmark.true_views.find_revisits", lambda views: find_revisits(views, rule))
     assert (
         recording_revisits(flown.folder, keyframes_ns).first_ns == recording_views(flown.folder, frames_ns[::5]).t_ns[8]
     )

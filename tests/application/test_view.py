@@ -13,7 +13,7 @@ import pytest
 import rerun as rr
 
 from dronevio.cli import main
-from dronevio.cli.view import find_recording, free_port, has_display, viewer_url
+from dronevio.cli.commands.view import find_recording, free_port, has_display, viewer_url
 
 
 @pytest.fixture

@@ -18,8 +18,8 @@ from dronevio.estimator.frontend.protocol import AtExposure
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.keyframe_observer import KeyframeObserver
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.types import Calibration, Observations
-from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.camera import CameraModel
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Sampling
 from dronevio.models.protocols import measurements

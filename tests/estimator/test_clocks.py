@@ -8,9 +8,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.calibration.calibrator import TIME_OFFSET_FOUND
 from dronevio.estimator.frontend.protocol import FrontEnd
+from dronevio.estimator.monitoring.causes import Cause
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.types import Observations
-from dronevio.estimator.vio import TIME_OFFSET_FOUND, WRONG_TIME_OFFSET, VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements
@@ -115,7 +117,7 @@ def test_a_step_of_one_clock_is_named_and_the_offset_found_again(make_flight: Ma
     flight = make_flight(1, rest_s=IN_MOTION, duration_s=10.0, motion=LIVELY, max_features=100)
     vio, estimates = run(flight, lambda t: np.where(t > 4.0, step_s, 0.0))
     assert events_of(estimates, TIME_OFFSET_FOUND)
-    assert not events_of(estimates, WRONG_TIME_OFFSET) or events_of(estimates, "recovered")
+    assert not events_of(estimates, Cause.TIME_OFFSET) or events_of(estimates, "recovered")
     assert vio.time_offset_s == pytest.approx(-step_s, abs=0.003)
     assert all(e.health is Health.TRACKING for e in estimates[-20:])
 

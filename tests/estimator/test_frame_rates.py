@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.driver import estimate_recording
 from dronevio.estimator.baselines.dead_reckoning import preintegrate
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.initialization.not_observable import SENSORS_SWAPPED
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.types import Matches, Observations
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.errors import ate
 from dronevio.eval.run import EstimatorRun

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.models.rig import euroc_rig
 
 WARM_S, END_S = 20.0, 45.0

@@ -7,12 +7,17 @@ import numpy as np
 from dronevio.estimator.imu.buffer import NO_INCREMENTS, Increments
 from dronevio.estimator.initialization.initializer import InitializerConfig
 from dronevio.estimator.initialization.not_observable import ACCEL_DISAGREES, ROTATION_DISAGREES, NotObservable
-from dronevio.estimator.output import CONTRADICTION, MAX_CONTRADICTION_NS, MIN_CAUSE_NS, REPEATED_IMAGES, Publisher
+from dronevio.estimator.monitoring.causes import Cause, Reason
+from dronevio.estimator.monitoring.config import HealthConfig
+from dronevio.estimator.monitoring.health import Assessment
+from dronevio.estimator.output import MAX_CONTRADICTION_NS, MIN_CAUSE_NS, REPEATED_IMAGES, Publisher
 from dronevio.estimator.types import NO_FEATURES, NO_MATCHES, FramePacket, Matches
-from dronevio.models.state import Health, HealthReport, NavState
+from dronevio.models.state import Health, NavState
 
 RATE_HZ = 200.0
-REPORT = HealthReport(Health.TRACKING, "constrained by 50 landmarks", innovation_px=1.0)
+TRACKED = Assessment(landmarks=50, innovation_px=1.0)
+WAITING = Reason.of(Cause.NOT_OBSERVABLE, reason="")
+TOO_FAST = Reason.of(Cause.SPEED, speed_m_s=99.0)
 
 
 def state(velocity_sigma_m_s: float) -> NavState:
@@ -34,7 +39,7 @@ def packet(matched: tuple[int, ...] = (), miscalibrated: tuple[int, ...] = ()) -
 
 
 def new_publisher() -> Publisher:
-    return Publisher(InitializerConfig(), RATE_HZ)
+    return Publisher(InitializerConfig(), HealthConfig(), RATE_HZ)
 
 
 def test_miscalibration_and_its_end_are_reported_once() -> None:
@@ -47,7 +52,7 @@ def test_miscalibration_and_its_end_are_reported_once() -> None:
         packet((1, 1)),
         packet((1,)),
     ]
-    events = [publisher.without_state(each, "").events for each in packets]
+    events = [publisher.without_state(each, WAITING).events for each in packets]
     assert events == [
         (),
         ("camera 1 contradicts its calibration: not used for depth",),
@@ -60,33 +65,33 @@ def test_miscalibration_and_its_end_are_reported_once() -> None:
 
 def test_nothing_is_published_before_it_is_certain() -> None:
     publisher = new_publisher()
-    estimates = [publisher.estimate(packet(), state(s), REPORT, ("keyframe",)) for s in (9.0, 0.051, 0.049, 9.0)]
+    estimates = [publisher.estimate(packet(), state(s), TRACKED, ("keyframe",)) for s in (9.0, 0.051, 0.049, 9.0)]
     assert [each.state is None for each in estimates] == [True, True, False, False]
     assert estimates[0].health is Health.INITIALIZING and estimates[0].health_report is not None
     assert "1.00 ± 9.00 m/s" in estimates[0].health_report.reason
     assert [each.events for each in estimates[2:]] == [("initialized", "keyframe"), ("keyframe",)]
-    lost = publisher.lost(packet(), HealthReport(Health.LOST, "a speed of 99 m/s"))
+    lost = publisher.lost(packet(), TOO_FAST, TRACKED)
     assert lost.state is None and lost.events == ("lost: a speed of 99 m/s",)
-    later = [publisher.estimate(packet(), state(s), REPORT) for s in (1.0, 0.01)]
+    later = [publisher.estimate(packet(), state(s), TRACKED) for s in (1.0, 0.01)]
     assert later[0].state is None and later[0].health is Health.LOST
     assert later[1].events == ("recovered",)
 
 
 def test_a_first_state_that_contradicts_the_images_is_held_back() -> None:
     """For as long as a search for the time offset takes; what agrees is published at once, and so is all after it."""
-    contradicting = HealthReport(Health.INERTIAL_ONLY, "images and prediction are inconsistent")
+    contradicting = Assessment(landmarks=50, is_consistent=False)
 
-    def published(publisher: Publisher, t_ns: int, report: HealthReport) -> bool:
-        found = publisher.estimate(replace(packet(), t_ns=t_ns), state(0.01), report)
-        assert found.state is not None or (found.health_report and found.health_report.reason.endswith(CONTRADICTION))
+    def published(publisher: Publisher, t_ns: int, assessment: Assessment) -> bool:
+        found = publisher.estimate(replace(packet(), t_ns=t_ns), state(0.01), assessment)
+        assert found.state is not None or (found.health_report and found.health_report.cause is Cause.CONTRADICTION)
         return found.state is not None
 
     agreeing, late = new_publisher(), new_publisher()
-    assert not published(agreeing, -5, contradicting) and published(agreeing, 10**9, REPORT)
+    assert not published(agreeing, -5, contradicting) and published(agreeing, 10**9, TRACKED)
     assert published(agreeing, 2 * 10**9, contradicting)
     assert not published(late, -5, contradicting) and not published(late, MAX_CONTRADICTION_NS - 6, contradicting)
     assert published(late, MAX_CONTRADICTION_NS - 5, contradicting)
-    agreeing.lost(packet(), HealthReport(Health.LOST, "a speed of 99 m/s"))
+    agreeing.lost(packet(), TOO_FAST, TRACKED)
     assert published(agreeing, 2 * 10**9 + 1, contradicting)  # after a loss, a pose is better than none
 
 
@@ -95,7 +100,7 @@ def test_repeated_images_and_outliers_are_stated() -> None:
 
     def events_at(t_s: float, *, repeats: bool, outliers: int = 0) -> tuple[str, ...]:
         at = replace(packet(), t_ns=round(t_s * 1e9), repeats_image=repeats, imu_outliers=outliers)
-        return publisher.without_state(at, "").events
+        return publisher.without_state(at, WAITING).events
 
     assert events_at(0.0, repeats=True) == (REPEATED_IMAGES,)
     assert events_at(0.5, repeats=False) == events_at(1.0, repeats=True) == events_at(2.0, repeats=True) == ()
@@ -128,7 +133,7 @@ def test_accelerometer_is_not_stated_after_the_gyroscope() -> None:
 def test_cause_does_not_last_over_an_initialization() -> None:
     publisher, obstacle = new_publisher(), NotObservable("60% of the landmarks disagree", "axes")
     assert publisher.not_initialized(packet(), obstacle).events == ()
-    publisher.estimate(packet(), state(0.0), REPORT)
+    publisher.estimate(packet(), state(0.0), TRACKED)
     later = [replace(packet(), t_ns=t_ns) for t_ns in (2 * MIN_CAUSE_NS, 3 * MIN_CAUSE_NS)]
     assert [publisher.not_initialized(each, obstacle).events for each in later] == [(), ("probable cause: axes",)]
     assert str(obstacle) == "not observable yet: 60% of the landmarks disagree; axes"
@@ -140,6 +145,6 @@ def test_an_imu_gap_is_reported_at_its_begin_and_end() -> None:
         return replace(packet(), increments=increments)
 
     publisher, gaps_s = new_publisher(), (0.015, 0.03, 0.005, 0.25, 0.25, 0.05, 0.005, 0.005, 0.25)
-    events = [publisher.without_state(packet_with_gap(s), "").events for s in gaps_s]
+    events = [publisher.without_state(packet_with_gap(s), WAITING).events for s in gaps_s]
     short, long = ("no IMU for 0.03 s",), ("no IMU for 0.25 s",)
     assert events == [(), short, (), long, (), (), ("IMU again after a gap of 0.55 s",), (), long]

@@ -34,11 +34,13 @@ def propagator(velocity_m_s: Array, sigma_m_s: float) -> Propagator:
     return Propagator(params, IMU, KeyframePolicy(KeyframeConfig()), smoother, NO_FEATURES)
 
 
-def packet(k: int) -> FramePacket:
+def packet(k: int, stationary_s: float = 10.0) -> FramePacket:
     """Return the k-th frame, before which the IMU measures gravity alone."""
     n = 10
     force = np.tile([0.0, 0.0, GRAVITY_M_S2], (n, 1))
-    return FramePacket(k * FRAME_NS, Increments(np.full(n, 0.005), np.zeros((n, 3)), force), NO_FEATURES)
+    return FramePacket(
+        k * FRAME_NS, Increments(np.full(n, 0.005), np.zeros((n, 3)), force), NO_FEATURES, stationary_s=stationary_s
+    )
 
 
 @pytest.mark.parametrize(("sigma_m_s", "stationary"), [(0.002, False), (0.009, False), (0.011, True), (0.1, True)])
@@ -46,7 +48,7 @@ def test_significant_velocity_excludes_stationary(sigma_m_s: float, stationary: 
     """A drone drifts at 5 cm/s in front of a distant wall, so that the image does not show the motion."""
     drifting = propagator(np.array([0.0, 0.03, 0.04]), sigma_m_s)
     for k in range(1, 8):
-        found = drifting.would_be_stationary(packet(k), stationary_s=10.0)
+        found = drifting.would_be_stationary(packet(k))
         assert found == stationary
         drifting.add(packet(k), found)
     displacement_m = drifting.state_at(7 * FRAME_NS).T_world_imu[:3, 3]
@@ -55,10 +57,10 @@ def test_significant_velocity_excludes_stationary(sigma_m_s: float, stationary: 
     else:
         np.testing.assert_allclose(displacement_m, 0.35 * np.array([0.0, 0.03, 0.04]), atol=1e-9)
     # Keyframes are less frequent while the drone is stationary
-    assert drifting.is_keyframe_due(0.05, 10.0, NO_FEATURES, None) == (not stationary)
+    assert drifting.is_keyframe_due(packet(7), None) == (not stationary)
 
 
 def test_stationary_needs_the_whole_time_since_the_keyframe() -> None:
     hovering = propagator(np.zeros(3), 0.002)
-    assert hovering.would_be_stationary(packet(1), stationary_s=0.05)
-    assert not hovering.would_be_stationary(packet(1), stationary_s=0.04)
+    assert hovering.would_be_stationary(packet(1, stationary_s=0.05))
+    assert not hovering.would_be_stationary(packet(1, stationary_s=0.04))

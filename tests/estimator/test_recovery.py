@@ -11,7 +11,7 @@ import pytest
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.initialization.gauge import MIN_ACCEL_BIAS_SIGMA_M_S2, LastPublished, WorldOrigin
 from dronevio.estimator.initialization.static import InitialSigmas
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples

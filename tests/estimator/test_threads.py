@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.threads import single_threaded
-from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import euroc_rig
 from dronevio.models.state import CameraFrame

@@ -2,12 +2,12 @@
 
 import pytest
 
+from dronevio.benchmark.expectations import EXPECTATIONS
 from dronevio.eval.benchmark.outcomes import MAX_SIGMAS, Expectation, verdicts
 from dronevio.eval.benchmark.rows import Row
 from dronevio.eval.report.benchmark.model import BenchmarkResults
 from dronevio.eval.report.benchmark.page import benchmark_page
 from dronevio.eval.report.benchmark.tables import outcome_table
-from dronevio.expectations import EXPECTATIONS
 from dronevio.sim.scenarios import SUITES
 from tests.rows import changed, row_of
 

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from dronevio.models.errors import InputError
 from dronevio.models.recordings.kitti import read_kitti, read_times_ns
 from dronevio.models.recordings.timed_table import Repeated, parse_decimal_seconds
-from dronevio.models.recordings.tum import read_trajectory, read_tum
+from dronevio.models.recordings.trajectory_file import read_trajectory_file
+from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix, quat_xyzw_from_wxyz
 from dronevio.models.state import Trajectory
 
@@ -173,7 +174,7 @@ def test_rows_of_arbitrary_fields_are_refused_or_read(
     for check in (check_tum, check_kitti):
         read_or_refuse(path, content, check)
     try:
-        assert_valid(read_trajectory(path))  # in the format that is detected
+        assert_valid(read_trajectory_file(path))  # in the format that is detected
     except InputError as error:
         assert error.path == path
 

@@ -20,13 +20,14 @@ from dronevio.models.protocols import Recording
 from dronevio.models.recordings.euroc import (
     INCOMPLETE,
     EurocRecording,
-    read_euroc_frame_times,
+    read_euroc_segment_times,
     read_groundtruth,
     write_euroc,
     write_euroc_recording,
 )
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text
-from dronevio.models.recordings.tum import read_trajectory, write_tum
+from dronevio.models.recordings.trajectory_file import read_trajectory_file
+from dronevio.models.recordings.tum import write_tum
 from dronevio.models.rig import EUROC_T_IMU_CAM0, Rig, RigCamera, euroc_rig
 from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.state import Trajectory
@@ -224,7 +225,7 @@ def test_mav0_itself_is_accepted(flight: Path) -> None:
     assert recording.name == "hall-3"
     assert recording.ground_truth is None
     np.testing.assert_array_equal(recording.rig.T_vehicle_imu, np.eye(4))
-    np.testing.assert_array_equal(read_euroc_frame_times(flight), recording.frame_times_ns)
+    np.testing.assert_array_equal(read_euroc_segment_times(flight)[0], recording.frame_times_ns)
 
 
 def test_frames_need_an_image_of_every_camera(tmp_path: Path) -> None:
@@ -378,7 +379,7 @@ def test_the_real_data_set_is_read(data_folder: Path) -> None:
     assert len(truth) == 16702
     assert truth.length_m == pytest.approx(75.8913, abs=1e-3)
     camera = data_folder / "euroc" / "V1_01_on_the_ground"
-    assert len(read_euroc_frame_times(camera)) == 95
+    assert len(read_euroc_segment_times(camera)[0]) == 95
 
 
 def test_a_tum_file_beside_the_folder_is_the_ground_truth(
@@ -390,12 +391,16 @@ def test_a_tum_file_beside_the_folder_is_the_ground_truth(
     folder = tmp_path / "flight"
     write_euroc(folder, recording.rig, recording.imu, None, recording.frame_times_ns)
     with pytest.raises(InputError, match=r"groundtruth\.tum beside mav0"):
-        read_trajectory(folder)
+        read_trajectory_file(folder)
     assert EurocRecording.open(folder).ground_truth is None
     write_tum(folder / "groundtruth.tum", truth)
-    for found in (EurocRecording.open(folder).ground_truth, read_trajectory(folder), read_trajectory(folder / "mav0")):
+    for found in (
+        EurocRecording.open(folder).ground_truth,
+        read_trajectory_file(folder),
+        read_trajectory_file(folder / "mav0"),
+    ):
         assert found is not None and found.velocity_m_s is None
         np.testing.assert_array_equal(found.t_ns, truth.t_ns)
         np.testing.assert_array_equal(found.p_world_imu, truth.p_world_imu)
     write_euroc(folder, recording.rig, recording.imu, truth[3:], recording.frame_times_ns)  # the table comes first
-    assert len(read_trajectory(folder)) == len(truth) - 3
+    assert len(read_trajectory_file(folder)) == len(truth) - 3

@@ -18,13 +18,13 @@ from PIL import Image as PillowImage
 from dronevio.models.errors import InputError
 from dronevio.models.image_sets import open_images
 from dronevio.models.image_sets.photos import read_photo, read_photo_header
-from dronevio.models.image_sets.video import read_video_index
 from dronevio.models.reconstructions import read_reconstruction
 from dronevio.models.recordings.calibration.reading import read_calibration
 from dronevio.models.recordings.files import read_bytes, read_text
 from dronevio.models.recordings.image_header import MAX_DECODED_BYTES, ImageHeader, check_decoded_size, header_of
 from dronevio.models.recordings.images import decode_grey, read_grey
 from dronevio.models.recordings.open import open_recording, read_trajectory
+from dronevio.models.recordings.video_frames import read_video_index
 
 READERS: dict[str, Callable[[Path], Any]] = {
     "bytes": lambda path: read_bytes(path, "data"),
@@ -227,7 +227,7 @@ def test_damaged_headers_are_no_images() -> None:
 def test_frames_of_videos_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import av
 
-    from dronevio.models.image_sets import video
+    from dronevio.models.recordings import video_frames
 
     with av.open(str(tmp_path / "a.mp4"), "w") as container:
         stream = container.add_stream("mpeg4", rate=10)
@@ -238,7 +238,7 @@ def test_frames_of_videos_are_limited(tmp_path: Path, monkeypatch: pytest.Monkey
         container.mux(stream.encode())
     assert open_images(tmp_path / "a.mp4").read(0).shape == (48, 64, 3)
     images = open_images(tmp_path / "a.mp4")
-    monkeypatch.setattr(video, "MAX_FRAME_PIXELS", 1000)
+    monkeypatch.setattr(video_frames, "MAX_FRAME_PIXELS", 1000)
     with pytest.raises(InputError, match="cannot be decoded"):  # as where a later frame is larger
         images.read(0)
     with pytest.raises(InputError, match="frames of 64 × 48 px; expected at most"):

@@ -18,7 +18,7 @@ from dronevio.models.recordings.kitti import (
     read_times_ns,
     write_kitti,
 )
-from dronevio.models.recordings.tum import read_trajectory
+from dronevio.models.recordings.trajectory_file import read_trajectory_file
 from dronevio.models.rotation import exp_so3, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
 
@@ -42,7 +42,7 @@ def trajectories(draw: st.DrawFn) -> Trajectory:
 @given(trajectories())
 def test_round_trip_is_exact_up_to_rotations(scratch: Path, trajectory: Trajectory) -> None:
     write_kitti(scratch, trajectory)
-    for back in (read_kitti(scratch), read_trajectory(scratch)):
+    for back in (read_kitti(scratch), read_trajectory_file(scratch)):
         np.testing.assert_array_equal(back.t_ns, trajectory.t_ns)
         np.testing.assert_array_equal(back.p_world_imu, trajectory.p_world_imu)
         np.testing.assert_allclose(
@@ -77,7 +77,7 @@ def test_times_and_frame_numbers(tmp_path: Path) -> None:
     times.write_text("".join(f"{0.1037 * i:e}\n" for i in range(9)))
     assert read_kitti(poses).t_ns.tolist() == [200_000_000, 300_000_000, 700_000_000]
     assert read_kitti(poses, times).t_ns.tolist() == [207_400_000, 311_100_000, 725_900_000]
-    assert read_trajectory(poses, times=times).t_ns.tolist() == [207_400_000, 311_100_000, 725_900_000]
+    assert read_trajectory_file(poses, times=times).t_ns.tolist() == [207_400_000, 311_100_000, 725_900_000]
     times.write_text("0\n0.1\n0.2\n0.3\n")
     with pytest.raises(InputError, match="frame 7; expected frames below 4") as caught:
         read_kitti(poses, times)
@@ -87,7 +87,7 @@ def test_times_and_frame_numbers(tmp_path: Path) -> None:
         read_kitti(poses, times)
     (tmp_path / "x.tum").write_text("0.5 1 2 3 0 0 0 1\n")
     with pytest.raises(InputError, match="a KITTI trajectory"):
-        read_trajectory(tmp_path / "x.tum", times=times)
+        read_trajectory_file(tmp_path / "x.tum", times=times)
 
 
 def test_the_format_is_detected(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import dronevio as dv
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig

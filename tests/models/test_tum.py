@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from dronevio.models.errors import InputError
-from dronevio.models.recordings.tum import read_trajectory, read_tum, write_tum
+from dronevio.models.recordings.trajectory_file import read_trajectory_file
+from dronevio.models.recordings.tum import read_tum, write_tum
 from dronevio.models.state import Trajectory
 
 
@@ -77,7 +78,7 @@ def test_formats_are_detected(tmp_path: Path) -> None:
     for path in (tmp_path / "a.txt", tmp_path / "b.txt", tmp_path, tmp_path / "mav0"):
         if path.name == "mav0":
             (path / "imu0").mkdir()
-        trajectory = read_trajectory(path)
+        trajectory = read_trajectory_file(path)
         assert trajectory.t_ns.tolist() == [500_000_000]
         np.testing.assert_array_equal(trajectory.p_world_imu, [[1, 2, 3]])
         np.testing.assert_array_equal(trajectory.quat_wxyz, [[1, 0, 0, 0]])
@@ -87,7 +88,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     for content in ("", "# only a comment\n", "hello world\n", "1 2 3\n"):
         (tmp_path / "x").write_text(content)
         with pytest.raises(InputError):
-            read_trajectory(tmp_path / "x")
+            read_trajectory_file(tmp_path / "x")
     for path in (tmp_path, tmp_path / "missing"):
         with pytest.raises(InputError):
-            read_trajectory(path)
+            read_trajectory_file(path)

@@ -7,8 +7,8 @@ import pytest
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import EUROC_CAM0
 from dronevio.models.rig_presets import TUM_VI_CAMERA
-from dronevio.sim.cameras import camera_cost as measured
 from dronevio.sim.cameras.camera import OffscreenCamera
+from dronevio.sim.speed import camera_cost as measured
 
 
 def emissive_model() -> mujoco.MjModel:

@@ -13,10 +13,10 @@ from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import exp_so3, pose_matrix, rotation_z, yaw_rad_from_matrix
 from dronevio.models.state import CameraFrame, Estimate, NavState, Trajectory
-from dronevio.sim.closed_loop import fly_closed_loop
-from dronevio.sim.estimated_state import transformed, world_from_odometry
+from dronevio.sim.closed_loop.estimated_state import transformed, world_from_odometry
+from dronevio.sim.closed_loop.flight import fly_closed_loop
+from dronevio.sim.closed_loop.settings import LoopSettings
 from dronevio.sim.flight import Flight, fly
-from dronevio.sim.loop_settings import LoopSettings
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.scenarios import scenario_named
 

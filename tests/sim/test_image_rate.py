@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from dronevio.sim.envs.image_rate import ImageRate, image_figures, image_rates
-from dronevio.sim.envs.image_rate import _camera_poses as camera_poses
+from dronevio.sim.speed.image_rate import ImageRate, image_figures, image_rates
+from dronevio.sim.speed.image_rate import _camera_poses as camera_poses
 
 
 def test_image_rates_are_measured_by_world_and_kind() -> None:

@@ -13,9 +13,9 @@ from dronevio.sim.appearance.solids import Box
 from dronevio.sim.appearance.textures import plain
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.cameras.surfaces import points_in_camera
+from dronevio.sim.pictures.texturedness import poses_along
 from dronevio.sim.props.furniture import Piece
 from dronevio.sim.world import WORLDS, build_world, flight_area, instance_spec
-from dronevio.sim.worlds.texturedness import poses_along
 
 CAMERA = CameraModel(width=188, height=120, fx=115.0, fy=115.0, cx=93.5, cy=59.5)
 R_LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])

@@ -18,9 +18,9 @@ from dronevio.models.policies.outcome import PolicyOutcome
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import inverse_pose, quat_wxyz_from_matrix
 from dronevio.models.state import CameraFrame, NavState, Trajectory
-from dronevio.sim.closed_loop import fly_closed_loop
-from dronevio.sim.envs.mission import PolicyMission, policy_mission, policy_outcome
-from dronevio.sim.envs.pilot import PolicyPilot
+from dronevio.sim.closed_loop.flight import fly_closed_loop
+from dronevio.sim.envs.policies.mission import PolicyMission, policy_mission, policy_outcome
+from dronevio.sim.envs.policies.pilot import PolicyPilot
 from dronevio.sim.envs.tasks import Hover, Race, Waypoints
 from dronevio.sim.flight import Flight
 from dronevio.sim.scenario import Scenario

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dronevio.models.rig import EUROC_CAM0, RigCamera
-from dronevio.sim.envs.camera_observation import RenderedObservation
+from dronevio.sim.envs.sensing.camera_observation import RenderedObservation
 from dronevio.sim.rendering import loaded_world, world_files
 from dronevio.sim.rendering.loaded_world import LOADED_WORLDS
 from dronevio.sim.rendering.world_files import compiled, folder

@@ -8,10 +8,10 @@ import pytest
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
+from dronevio.sim.pictures import world_pictures
+from dronevio.sim.pictures.contact_sheet import views
+from dronevio.sim.pictures.world_pictures import PictureTask, pictures_of_worlds
 from dronevio.sim.world import build_world
-from dronevio.sim.worlds import world_pictures
-from dronevio.sim.worlds.contact_sheet import views
-from dronevio.sim.worlds.world_pictures import PictureTask, pictures_of_worlds
 
 SMALL = CameraModel(width=40, height=30, fx=25.0, fy=25.0, cx=19.5, cy=14.5)
 NAMES = ("low-texture", "repetitive", "low-texture")

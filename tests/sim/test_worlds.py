@@ -14,12 +14,12 @@ from dronevio.sim.appearance.solids import Box, Face
 from dronevio.sim.appearance.textures import Image
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.paths.space import Space
+from dronevio.sim.pictures.contact_sheet import contact_sheet, sheet_of_worlds, viewpoints, views
+from dronevio.sim.pictures.texturedness import GOOD_CORNERS, GOOD_SHARE, good_corners, poses_along, texturedness
 from dronevio.sim.props.traffic import Lap, Swing
 from dronevio.sim.world import WORLDS, build_world, flight_area
 from dronevio.sim.worlds.assembly import space_of
-from dronevio.sim.worlds.contact_sheet import contact_sheet, sheet_of_worlds, viewpoints, views
 from dronevio.sim.worlds.layout import ROUTE_CLEARANCE_M, Layout
-from dronevio.sim.worlds.texturedness import GOOD_CORNERS, GOOD_SHARE, good_corners, poses_along, texturedness
 
 Array = npt.NDArray[np.float64]
 

@@ -102,9 +102,9 @@ class Task(Protocol[Goals]):
     """Interface of a task. ``Goals`` is a frozen dataclass of arrays with the goals and the progress of n episodes."""
 
     default_observations: ClassVar[tuple[str, ...]]
-    """Names of the default observations; see `dronevio.sim.envs.observations`."""
+    """Names of the default observations; see `dronevio.sim.envs.sensing.observations`."""
     default_action: ClassVar[str]
-    """Name of the default action mode; see `dronevio.sim.envs.actions`."""
+    """Name of the default action mode; see `dronevio.sim.envs.episodes.actions`."""
     lands: ClassVar[bool]
     """Whether standing on the ground is part of the task; otherwise it is a failure."""
 
@@ -163,6 +163,25 @@ class Task(Protocol[Goals]):
 
 AnyTask = Task[Any]
 """A task with goals of any type."""
+
+
+class TaskSettings(Settings):
+    """Base of tasks: what most of them have in common."""
+
+    lands: ClassVar[bool] = False
+    """Whether standing on the ground is part of the task; otherwise it is a failure."""
+
+    def bounds_m(self, area: FlightArea) -> Array:
+        """Return the free box (2, 3) of the world [m]."""
+        return area.free_box
+
+    def finished(self, goals: Any) -> Mask:
+        """Return False everywhere: the task goes on until the time limit."""
+        return np.zeros(len(goals), dtype=np.bool_)
+
+    def success(self, area: FlightArea, goals: Any, step: Transition) -> Mask:
+        """Return in which episodes the task is accomplished."""
+        return self.finished(goals)
 
 
 def flight_box_m(area: FlightArea, margin_m: float) -> Array:

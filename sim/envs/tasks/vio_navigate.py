@@ -25,16 +25,16 @@ class VioNavigate(Navigate):
     The quadrotor stands on the landing pad of a furnished hall, heading to the goal, which is a random place with 0.6 m
     of clearance from all obstacles, 3 to 12 m away. It sees the obstacles in the depth image only. Observations and
     inner control loops use the estimate of a visual-inertial odometry with one camera, which receives its frames with
-    latency; rewards, ends and success use the true state. `dronevio.sim.envs.estimation` describes how the estimator is
-    simulated, and how another one is chosen.
+    latency; rewards, ends and success use the true state. `dronevio.sim.envs.sensing.estimation` describes how the
+    estimator is simulated, and how another one is chosen.
 
     ## Action space
-    ``Box(-1, 1, (4,), float32)``. By default velocity and yaw rate (mode ``velocity``); `dronevio.sim.envs.actions`
-    describes all modes and their units.
+    ``Box(-1, 1, (4,), float32)``. By default velocity and yaw rate (mode ``velocity``);
+    `dronevio.sim.envs.episodes.actions` describes all modes and their units.
 
     ## Observation space
-    A ``Dict`` of ``Box`` with these entries by default; `dronevio.sim.envs.observations` describes all that can be
-    chosen.
+    A ``Dict`` of ``Box`` with these entries by default; `dronevio.sim.envs.sensing.observations` describes all that can
+    be chosen.
 
     | key | shape | content |
     |---|---|---|

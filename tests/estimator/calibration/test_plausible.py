@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.health import HealthConfig
-from dronevio.estimator.vio import IMPLAUSIBLE_CALIBRATION
+from dronevio.estimator.monitoring.causes import Cause
+from dronevio.estimator.monitoring.config import HealthConfig
 from dronevio.eval.run import is_warning
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, pose_matrix
@@ -40,7 +40,7 @@ def test_health_is_tracking_after_plausible_corrections(
     """Nine degrees are eight standard deviations of the prior; five are plausible."""
     estimates = estimated(make_flight(0, rest_s=2.0, duration_s=22.0), degrees)
     is_corrected = [any(event.startswith("calibration corrected") for event in e.events) for e in estimates]
-    warned = [k for k, e in enumerate(estimates) if any(IMPLAUSIBLE_CALIBRATION in event for event in e.events)]
+    warned = [k for k, e in enumerate(estimates) if any(Cause.IMPLAUSIBLE_CALIBRATION in event for event in e.events)]
     assert any(is_corrected) and len(warned) == (0 if plausible else 1)
     if plausible:
         assert estimates[-1].health is Health.TRACKING

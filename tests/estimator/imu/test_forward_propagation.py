@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
-from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2, ImuSamples, Sampling, Times
 from dronevio.models.protocols import measurements

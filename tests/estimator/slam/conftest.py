@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.slam.keyframe import KeyframeFeatures, MapKeyframe
+from dronevio.estimator.slam.map.keyframe import KeyframeFeatures, MapKeyframe
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import exp_so3, inverse_pose, rotation_z
 

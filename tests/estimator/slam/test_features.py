@@ -7,13 +7,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.slam.features import (
+from dronevio.estimator.slam.map.keyframe import KeyframeFeatures
+from dronevio.estimator.slam.places.features import (
     PlaceFeatureConfig,
     PlaceFeatureExtractor,
     detect_spread_corners,
     gravity_angles,
 )
-from dronevio.estimator.slam.keyframe import KeyframeFeatures
 from dronevio.estimator.types import NO_FEATURES, Observations
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import EUROC_CAM0, Rig, RigCamera

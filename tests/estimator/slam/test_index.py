@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dronevio.estimator.slam.index import FIRST_COLUMNS, PlaceIndex
-from dronevio.estimator.slam.vocabulary import (
+from dronevio.estimator.slam.places.index import FIRST_COLUMNS, PlaceIndex
+from dronevio.estimator.slam.places.vocabulary import (
     BRANCHES,
     LEAVES,
     default_vocabulary,

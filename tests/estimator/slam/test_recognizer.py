@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
-from dronevio.estimator.slam.recognizer import PlaceConfig, PlaceRecognizer
-from dronevio.estimator.slam.verification import PlaceMatch
+from dronevio.estimator.slam.map.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
+from dronevio.estimator.slam.places.recognizer import PlaceConfig, PlaceRecognizer
+from dronevio.estimator.slam.places.verification import PlaceMatch
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import inverse_pose
 from tests.estimator.slam.conftest import RIG, Errors, Scene, keyframe, pose, scene

@@ -7,10 +7,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.slam.gravity_pose import LevelMatches, solve_two_points, squared_errors
-from dronevio.estimator.slam.matching import described_landmarks, match_landmarks
-from dronevio.estimator.slam.relative_pose import RelativePoseConfig
-from dronevio.estimator.slam.verification import PlaceMatch, Rejection, VerificationConfig, verify
+from dronevio.estimator.slam.places.gravity_pose import LevelMatches, solve_two_points, squared_errors
+from dronevio.estimator.slam.places.matching import described_landmarks, match_landmarks
+from dronevio.estimator.slam.places.relative_pose import RelativePoseConfig
+from dronevio.estimator.slam.places.verification import PlaceMatch, Rejection, VerificationConfig, verify
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, rotation_z
 from tests.estimator.slam.conftest import EXACT, RIG, Errors, Scene, keyframe, pose, random_pose, scene

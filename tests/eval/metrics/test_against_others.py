@@ -26,7 +26,8 @@ from dronevio.eval.metrics import (
 )
 from dronevio.eval.metrics.association import evo_pairs
 from dronevio.eval.metrics.pairs import Unit
-from dronevio.models.recordings.tum import read_trajectory, read_tum
+from dronevio.models.recordings.trajectory_file import read_trajectory_file
+from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
 
 AGREEMENT = 1e-6
@@ -90,7 +91,7 @@ def test_absolute_and_relative_errors_agree_with_evo(seed: int) -> None:
 
 def test_published_results_are_reproduced(data_folder: Path) -> None:
     """All statistics of evo, the rpg toolbox, a KITTI evaluation and TUM's scripts agree, with equal counts."""
-    parity = module_at(CHECKOUT / "scripts" / "parity.py")
+    parity = module_at(CHECKOUT / "benchmarks" / "parity.py")
     rows = parity.all_rows(data_folder / "trajectories")
     assert [row for row in rows if row.verdict == "differs"] == []
     reasons = Counter(row.reason.removeprefix("KITTI_00_SPTAM.txt ") for row in rows if row.reason)
@@ -207,7 +208,7 @@ def test_scores_agree_with_an_independent_script(data_folder: Path, sequence: st
     estimate = data_folder / "trajectories" / "rpg" / "vislam_rp" / sequence / "stamped_traj_estimate0.txt"
     truth = data_folder / "euroc" / sequence / "groundtruth.csv"
     expected = module.evaluate(str(estimate), str(truth))
-    found = score(read_trajectory(truth), read_tum(estimate), options=ScoreOptions(mode))
+    found = score(read_trajectory_file(truth), read_tum(estimate), options=ScoreOptions(mode))
     assert (found.n_poses, found.rpe_pairs) == (expected["n"], expected["rpe_n"])
     assert found.ate_m.rmse == pytest.approx(expected[f"ate_{mode}"], abs=AGREEMENT)
     assert found.ate_m.max == pytest.approx(expected[f"max_{mode}"], abs=AGREEMENT)

@@ -26,7 +26,7 @@ from dronevio.models.protocols import Recording
 from dronevio.models.rig import EUROC_T_IMU_CAM0, Rig, RigCamera
 from dronevio.models.rotation import exp_so3, pose_matrix, rotation_z
 from dronevio.models.state import CameraFrame, Health, Trajectory
-from dronevio.surroundings import surroundings_of
+from dronevio.recording.surroundings import surroundings_of
 
 if TYPE_CHECKING:
     from tests.eval.conftest import EntityColumns, ReadRrd, SyntheticFlight, VerifyRrd

@@ -203,7 +203,7 @@ def test_true_and_estimated_body_move_with_their_poses(columns: "EntityColumns",
 def test_a_run_without_poses_has_images_but_no_path(
     flight: "SyntheticFlight", tmp_path: Path, read_rrd: "ReadRrd"
 ) -> None:
-    estimates = tuple(replace(e, state=None, landmarks_world=None, tracks=None) for e in flight.run.estimates)
+    estimates = tuple(replace(e, state=None, landmarks_odom=None, tracks=None) for e in flight.run.estimates)
     run = EstimatorRun(estimates, flight.run.cpu_ms, flight.run.wall_ms)
     write_rrd(tmp_path / "run.rrd", flight.recording, run, None)
     columns = read_rrd(tmp_path / "run.rrd")

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.models import CameraModel, ConfigError, InputError, image_video
-from dronevio.models.image_sets.video import read_video_index
+from dronevio.models.recordings.video_frames import read_video_index
 
 FRAMES = 40
 WIDTH, HEIGHT = 64, 48

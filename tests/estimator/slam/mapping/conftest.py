@@ -15,13 +15,13 @@ from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.backend.observations import observation_table
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.keyframe_observer import OdometryKeyframe
-from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs, AdjustmentKeyframe
+from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentInputs, AdjustmentKeyframe
 from dronevio.estimator.slam.correction import Correction
-from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
-from dronevio.estimator.slam.localization import KeyframeView
-from dronevio.estimator.slam.mapping import Mapper, Recognizer
-from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph, factor_graph
-from dronevio.estimator.slam.verification import PlaceMatch
+from dronevio.estimator.slam.map.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
+from dronevio.estimator.slam.map.pose_graph import OptimizedGraph, PoseGraph, factor_graph
+from dronevio.estimator.slam.mapper import Mapper, Recognizer
+from dronevio.estimator.slam.places.localization import KeyframeView
+from dronevio.estimator.slam.places.verification import PlaceMatch
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 from dronevio.models.state import Estimate
 

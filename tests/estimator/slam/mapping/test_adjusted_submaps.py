@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
-from dronevio.estimator.slam.map_frame import frame_change
-from dronevio.estimator.slam.odometry_factors import AbsolutePosition, RelativePose, first_node
-from dronevio.estimator.slam.pose_graph import ADJUSTED_VARIANCE, optimize
-from dronevio.estimator.slam.submap import Adjustment, Submap, path_scale
+from dronevio.estimator.slam.map.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
+from dronevio.estimator.slam.map.map_frame import frame_change
+from dronevio.estimator.slam.map.odometry_factors import AbsolutePosition, RelativePose, first_node
+from dronevio.estimator.slam.map.pose_graph import ADJUSTED_VARIANCE, optimize
+from dronevio.estimator.slam.map.submap import Adjustment, Submap, path_scale
 from dronevio.models.rotation import inverse_pose, pose_matrix, rotation_z
 
 if TYPE_CHECKING:

@@ -10,15 +10,15 @@ import numpy as np
 import psutil
 import pytest
 
-from dronevio.estimator.slam import adjuster
-from dronevio.estimator.slam.adjuster import LocalAdjuster, ProcessAdjuster, solved
-from dronevio.estimator.slam.bundle_adjustment import AdjustedMap, AdjustmentConfig, AdjustmentInputs, Scale
+from dronevio.estimator.slam.adjustment import adjuster
+from dronevio.estimator.slam.adjustment.adjuster import LocalAdjuster, ProcessAdjuster, solved
+from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustedMap, AdjustmentConfig, AdjustmentInputs, Scale
 
 CONFIG = AdjustmentConfig(iterations=3)
 STARTED = """
 import sys, time
-from dronevio.estimator.slam.adjuster import ProcessAdjuster
-from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig
+from dronevio.estimator.slam.adjustment.adjuster import ProcessAdjuster
+from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentConfig
 adjuster = ProcessAdjuster(AdjustmentConfig())
 print(adjuster._pool.submit(__import__("os").getpid).result(), flush=True)
 time.sleep(600.0)

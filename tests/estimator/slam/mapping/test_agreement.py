@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.backend.observations import NO_OBSERVATIONS
-from dronevio.estimator.slam.agreement import (
+from dronevio.estimator.slam.adjustment.agreement import (
     ACCEL_BIAS_SIGMA_M_S2,
     SCALE_SIGMA,
     TILT_SIGMA_DEG,
@@ -14,15 +14,15 @@ from dronevio.estimator.slam.agreement import (
     differences,
     odometry_scale_sigma,
 )
-from dronevio.estimator.slam.bundle_adjustment import (
+from dronevio.estimator.slam.adjustment.bundle_adjustment import (
     AdjustedMap,
     AdjustmentInputs,
     AdjustmentKeyframe,
     SavedKeyframes,
     Scale,
 )
-from dronevio.estimator.slam.odometry_factors import RelativePose
-from dronevio.estimator.slam.pose_graph import PoseGraph
+from dronevio.estimator.slam.map.odometry_factors import RelativePose
+from dronevio.estimator.slam.map.pose_graph import PoseGraph
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from dronevio.estimator.backend.observations import ObservationTable
 from dronevio.estimator.backend.triangulation import triangulate
-from dronevio.estimator.slam.bundle_adjustment import (
+from dronevio.estimator.slam.adjustment.bundle_adjustment import (
     AdjustmentConfig,
     AdjustmentInputs,
     SavedKeyframes,
@@ -20,8 +20,8 @@ from dronevio.estimator.slam.bundle_adjustment import (
     _odometry,
     adjust,
 )
-from dronevio.estimator.slam.odometry_factors import RelativePose
-from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph
+from dronevio.estimator.slam.map.odometry_factors import RelativePose
+from dronevio.estimator.slam.map.pose_graph import OptimizedGraph, PoseGraph
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 
 if TYPE_CHECKING:

@@ -10,11 +10,9 @@ import pytest
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.config import SlamConfig
-from dronevio.estimator.slam.keyframe import MapKeyframe
-from dronevio.estimator.slam.map_arrays import MapSummary
-from dronevio.estimator.slam.map_builder import LocalMap, MarginalizedKeyframe
-from dronevio.estimator.slam.mapping import Mapper, MappingConfig
-from dronevio.estimator.slam.odometry_factors import (
+from dronevio.estimator.slam.map.keyframe import MapKeyframe
+from dronevio.estimator.slam.map.map_arrays import MapSummary
+from dronevio.estimator.slam.map.odometry_factors import (
     MAX_DECREASE,
     OdometryNode,
     RelativePose,
@@ -22,9 +20,11 @@ from dronevio.estimator.slam.odometry_factors import (
     first_node,
     reversed_pose,
 )
-from dronevio.estimator.slam.pose_graph import optimize
-from dronevio.estimator.slam.recognizer import PlaceRecognizer
-from dronevio.estimator.slam.submap import MAX_PASSED_LOOPS, Submap
+from dronevio.estimator.slam.map.pose_graph import optimize
+from dronevio.estimator.slam.map.submap import MAX_PASSED_LOOPS, Submap
+from dronevio.estimator.slam.mapper import Mapper, MappingConfig
+from dronevio.estimator.slam.places.recognizer import PlaceRecognizer
+from dronevio.estimator.slam.worker.map_builder import LocalMap, MarginalizedKeyframe
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix, rotation_z
 from tests.estimator.slam.mapping.conftest import marginal_covariance
 from tests.estimator.slam.process.conftest import DRIFT_M, PLACES, keyframe, one_camera
@@ -159,12 +159,12 @@ def test_rejected_and_waiting_loops_are_not_passed_on(
     submap, nodes = chain
     right = [true_loop(odometry_flight, k, k + 15) for k in range(4)]
     wrong = RelativePose(0, CULLED, pose_matrix(np.eye(3), np.array([5.0, 5.0, 0.0])), 1e-6 * np.eye(6))
-    judged = submap.with_loops([*right, wrong]).optimized(0)
-    assert set(judged.closed_loops) == set(right)
+    optimized = submap.with_loops([*right, wrong]).optimized(0)
+    assert set(optimized.closed_loops) == set(right)
     waiting = [true_loop(odometry_flight, 1, CULLED), true_loop(odometry_flight, 1, CULLED + 2)]
-    culled = without(judged.with_loops(waiting), nodes)
+    culled = without(optimized.with_loops(waiting), nodes)
     assert culled.graph.loops == (*right, waiting[1]) and culled.waiting == 1
-    assert set(culled.closed_loops) == set(right) and culled.judged == 4
+    assert set(culled.closed_loops) == set(right) and culled.tested_loops == 4
     assert len(culled.history.loops) == 7
 
 

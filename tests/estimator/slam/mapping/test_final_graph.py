@@ -11,12 +11,17 @@ import pytest
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.backend.observations import ObservationTable
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
-from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig, AdjustmentInputs, AdjustmentKeyframe, adjust
-from dronevio.estimator.slam.final_graph import at_optimum, measured_in_map
-from dronevio.estimator.slam.g2o import write_g2o
-from dronevio.estimator.slam.localization import LocalizationConfig
-from dronevio.estimator.slam.odometry_factors import GravityDirection, RelativePose
-from dronevio.estimator.slam.pose_graph import ADJUSTED_VARIANCE, OptimizedGraph, PoseGraph, factor_graph
+from dronevio.estimator.slam.adjustment.bundle_adjustment import (
+    AdjustmentConfig,
+    AdjustmentInputs,
+    AdjustmentKeyframe,
+    adjust,
+)
+from dronevio.estimator.slam.adjustment.final_graph import at_optimum, measured_in_map
+from dronevio.estimator.slam.files.g2o import write_g2o
+from dronevio.estimator.slam.map.odometry_factors import GravityDirection, RelativePose
+from dronevio.estimator.slam.map.pose_graph import ADJUSTED_VARIANCE, OptimizedGraph, PoseGraph, factor_graph
+from dronevio.estimator.slam.places.localization import LocalizationConfig
 from dronevio.estimator.types import Calibration
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, cast
 import gtsam
 import numpy as np
 
-from dronevio.estimator.slam.g2o import write_g2o
-from dronevio.estimator.slam.odometry_factors import RelativePose
-from dronevio.estimator.slam.pose_graph import PoseGraph
+from dronevio.estimator.slam.files.g2o import write_g2o
+from dronevio.estimator.slam.map.odometry_factors import RelativePose
+from dronevio.estimator.slam.map.pose_graph import PoseGraph
 from dronevio.models.rotation import exp_so3, pose_matrix
 
 if TYPE_CHECKING:

@@ -7,15 +7,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.slam.keyframe import KeyframeFeatures, MapKeyframe
-from dronevio.estimator.slam.localization import (
+from dronevio.estimator.slam.map.keyframe import KeyframeFeatures, MapKeyframe
+from dronevio.estimator.slam.map.odometry_factors import RelativePose
+from dronevio.estimator.slam.places.localization import (
     KeyframeImages,
     LandmarkPatches,
     LocalizationConfig,
     Localizer,
     landmark_patches,
 )
-from dronevio.estimator.slam.odometry_factors import RelativePose
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rig_presets import rig_named

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.slam.map_frame import frame_change, with_frame_offset
+from dronevio.estimator.slam.map.map_frame import frame_change, with_frame_offset
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix, rotation_z
 
 Array = npt.NDArray[np.float64]

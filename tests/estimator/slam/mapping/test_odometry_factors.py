@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
-from dronevio.estimator.slam.odometry_factors import (
+from dronevio.estimator.slam.map.odometry_factors import (
     MAX_DECREASE,
     OdometryFactors,
     RelativePose,
@@ -15,7 +15,7 @@ from dronevio.estimator.slam.odometry_factors import (
     odometry_factors,
     scaled,
 )
-from dronevio.estimator.slam.pose_graph import PoseGraph, joined_graphs, optimize
+from dronevio.estimator.slam.map.pose_graph import PoseGraph, joined_graphs, optimize
 from dronevio.models.rotation import inverse_pose, pose_matrix, rotation_z
 from tests.estimator.slam.mapping.conftest import marginal_covariance
 

@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs, SavedKeyframes
-from dronevio.estimator.slam.odometry_scale import odometry_scale, with_scale_of_odometry
-from dronevio.estimator.slam.pose_graph import PoseGraph
+from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentInputs, SavedKeyframes
+from dronevio.estimator.slam.adjustment.odometry_scale import odometry_scale, with_scale_of_odometry
+from dronevio.estimator.slam.map.pose_graph import PoseGraph
 from dronevio.models.rotation import pose_matrix, rotation_z
 
 Array = npt.NDArray[np.float64]

@@ -9,8 +9,8 @@ import pytest
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.backend.observations import ObservationTable
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
-from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig, AdjustmentInputs, AdjustmentKeyframe
-from dronevio.estimator.slam.structure import MAX_ERROR_PX, map_structure
+from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentConfig, AdjustmentInputs, AdjustmentKeyframe
+from dronevio.estimator.slam.adjustment.structure import MAX_ERROR_PX, map_structure
 from dronevio.estimator.types import Calibration
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig_presets import rig_named

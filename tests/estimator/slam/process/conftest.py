@@ -6,7 +6,7 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
-from dronevio.estimator.slam.map_builder import ImagedKeyframe, MarginalizedKeyframe
+from dronevio.estimator.slam.worker.map_builder import ImagedKeyframe, MarginalizedKeyframe
 from dronevio.estimator.types import Observations
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import rotation_z

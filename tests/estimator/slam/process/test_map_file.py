@@ -16,9 +16,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dronevio.estimator.slam.map_file import DOCUMENT, MEMBERS, read_map, write_map
-from dronevio.estimator.slam.saved_arrays import LAYOUT
-from dronevio.estimator.slam.saved_map import SavedMap
+from dronevio.estimator.slam.files.map_file import DOCUMENT, MEMBERS, read_map, write_map
+from dronevio.estimator.slam.files.saved_arrays import LAYOUT
+from dronevio.estimator.slam.files.saved_map import SavedMap
 from dronevio.models.errors import ConfigError, DronevioError, InputError
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, pose_matrix

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.slam.config import SlamConfig
-from dronevio.estimator.slam.map_builder import LocalMap, MapMessage, MarginalizedKeyframe, TrackLost
-from dronevio.estimator.slam.map_process import MOST_UNANSWERED, MapProcess
-from dronevio.estimator.slam.mapping import Mapper
+from dronevio.estimator.slam.mapper import Mapper
+from dronevio.estimator.slam.worker.map_builder import LocalMap, MapMessage, MarginalizedKeyframe, TrackLost
+from dronevio.estimator.slam.worker.map_process import MOST_UNANSWERED, MapProcess
 from dronevio.models.errors import DefectError
 from tests.estimator.slam.process.conftest import DRIFT_M, PLACES, one_camera
 
@@ -143,7 +143,7 @@ def test_worker_ends_when_its_parent_is_killed() -> None:
     code = (
         "import os, signal\n"
         "from dronevio.estimator.slam.config import SlamConfig\n"
-        "from dronevio.estimator.slam.map_process import MapProcess\n"
+        "from dronevio.estimator.slam.worker.map_process import MapProcess\n"
         "from tests.estimator.slam.process.conftest import one_camera\n"
         "worker = MapProcess(one_camera(), SlamConfig())\n"
         "print(worker.pid, flush=True)\n"

@@ -6,22 +6,22 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
-from dronevio.estimator.slam.adjuster import AdjustmentOutcome
-from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs
+from dronevio.estimator.slam.adjustment.adjuster import AdjustmentOutcome
+from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentInputs
+from dronevio.estimator.slam.adjustment.flight_measurements import KeyframeMeasurements
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
-from dronevio.estimator.slam.flight_measurements import KeyframeMeasurements
-from dronevio.estimator.slam.map_builder import (
+from dronevio.estimator.slam.map.odometry_factors import RelativePose
+from dronevio.estimator.slam.mapper import MappingConfig
+from dronevio.estimator.slam.schedule import AdjustmentScheduleConfig
+from dronevio.estimator.slam.worker.map_builder import (
     LocalMap,
     MapBuilder,
     MarginalizedKeyframe,
     OdometryMap,
     TrackLost,
 )
-from dronevio.estimator.slam.map_process import MapProcess
-from dronevio.estimator.slam.mapping import MappingConfig
-from dronevio.estimator.slam.odometry_factors import RelativePose
-from dronevio.estimator.slam.schedule import AdjustmentScheduleConfig
+from dronevio.estimator.slam.worker.map_process import MapProcess
 from dronevio.estimator.types import Calibration
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rotation import exp_so3, pose_matrix

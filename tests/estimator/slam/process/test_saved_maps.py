@@ -10,17 +10,17 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.slam import visual_slam
-from dronevio.estimator.slam.adjuster import AdjustmentOutcome, LocalAdjuster
-from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig, AdjustmentInputs
+from dronevio.estimator.slam.adjustment.adjuster import AdjustmentOutcome, LocalAdjuster
+from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentConfig, AdjustmentInputs
+from dronevio.estimator.slam.adjustment.final_graph import at_optimum
 from dronevio.estimator.slam.config import SlamConfig
-from dronevio.estimator.slam.final_graph import at_optimum
-from dronevio.estimator.slam.map_builder import MapBuilder, MarginalizedKeyframe
-from dronevio.estimator.slam.map_file import read_map
-from dronevio.estimator.slam.odometry_factors import RelativePose, first_node
-from dronevio.estimator.slam.pose_graph import ADJUSTED_VARIANCE, optimize
-from dronevio.estimator.slam.saved_map import FIRST_KNOWN_LANDMARK, LAST_KNOWN_NS, SavedMap, saved_map
-from dronevio.estimator.slam.submap import Adjustment, Submap
+from dronevio.estimator.slam.files.map_file import read_map
+from dronevio.estimator.slam.files.saved_map import FIRST_KNOWN_LANDMARK, LAST_KNOWN_NS, SavedMap, saved_map
+from dronevio.estimator.slam.map.odometry_factors import RelativePose, first_node
+from dronevio.estimator.slam.map.pose_graph import ADJUSTED_VARIANCE, optimize
+from dronevio.estimator.slam.map.submap import Adjustment, Submap
 from dronevio.estimator.slam.visual_slam import VisualSlam
+from dronevio.estimator.slam.worker.map_builder import MapBuilder, MarginalizedKeyframe
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig, euroc_rig

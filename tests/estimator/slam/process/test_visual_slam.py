@@ -12,13 +12,13 @@ from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.keyframe_observer import KeyframeObserver, OdometryKeyframe
 from dronevio.estimator.slam import visual_slam
-from dronevio.estimator.slam.adjuster import AdjustmentOutcome
+from dronevio.estimator.slam.adjustment.adjuster import AdjustmentOutcome
+from dronevio.estimator.slam.adjustment.flight_measurements import FlightMeasurements
 from dronevio.estimator.slam.config import SlamConfig
-from dronevio.estimator.slam.flight_measurements import FlightMeasurements
-from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
-from dronevio.estimator.slam.map_builder import MarginalizedKeyframe
+from dronevio.estimator.slam.map.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
 from dronevio.estimator.slam.schedule import DelayConfig
 from dronevio.estimator.slam.visual_slam import VisualSlam
+from dronevio.estimator.slam.worker.map_builder import MarginalizedKeyframe
 from dronevio.estimator.types import Calibration
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples

@@ -1,0 +1,113 @@
+"""``dronevio policy evaluate``: success, errors and crashes of policies over many episodes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from dronevio.cli.options import Printing, PrintOptions
+from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
+from dronevio.models.ranges import Range, Settings
+
+
+@dataclass(frozen=True)
+class EvaluateCommand(Settings):
+    """Evaluate trained policies in episodes of their environments that they have not been trained on.
+
+    The success rate, the distance from the goal at the end, crashes by reason, and times are averaged over all
+    episodes. The seed determines the episodes, so that policies are compared in the same ones.
+
+    Examples:
+      dronevio policy evaluate hover.safetensors
+      dronevio policy evaluate hover-*.safetensors --episodes 1000 --randomization moderate
+      dronevio policy evaluate race.safetensors --world-seed 3 --json
+    """
+
+    policies: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE")]
+    """One or more files of policies."""
+    episodes: Annotated[int, Range(1, 1_000_000)] = 100
+    """Number of episodes for each policy."""
+    seed: Annotated[int, Range(0, 2**32 - 1)] = 1_000_000
+    """Seed of the episodes: initial states, goals, and errors of the sensors."""
+    randomization: Literal["none", "moderate"] = "none"
+    """Distributions of mass, inertia, rotors, drag, wind, latency and sensor errors: none, or moderate ones."""
+    world: str | None = None
+    """World that replaces the one of the task; `dronevio worlds` lists them."""
+    world_seed: Annotated[int, Range(0, 2**32 - 1)] = 0
+    """Seed of the layout of the world, such as the course of a race."""
+    printing: Printing = field(default_factory=PrintOptions)
+    """How results are printed."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command and return its exit code."""
+    command = parse(EvaluateCommand, arguments, "policy evaluate")
+
+    from dronevio.models.errors import ConfigError
+    from dronevio.models.policies.policy_file import load_policy
+
+    if not command.policies:
+        raise ConfigError("no policy; expected the path of one or more")
+    policies = {path: load_policy(path) for path in command.policies}  # a damaged file is reported before the first run
+
+    from dronevio.policy_evaluation import evaluate_policy
+    from dronevio.sim.envs.episodes.randomization import MODERATE, NOTHING_RANDOM
+
+    settings: dict[str, Any] = {
+        "randomization": MODERATE if command.randomization == "moderate" else NOTHING_RANDOM,
+        "world": command.world or "",
+        "world_seed": command.world_seed,
+    }
+    with progress_bars(quiet=command.printing.json) as bars:
+        results = {
+            path: evaluate_policy(policy, command.episodes, command.seed, progress=bars.bar(path.stem), **settings)
+            for path, policy in policies.items()
+        }
+    if command.printing.json:
+        print_json(
+            {
+                "episodes": command.episodes,
+                "seed": command.seed,
+                "randomization": command.randomization,
+                "world": command.world,
+                "world_seed": command.world_seed,
+                "policies": [
+                    {
+                        "policy": str(path),
+                        "environment": result.environment,
+                        **result.figures(),
+                        "ends": result.counts(),
+                    }
+                    for path, result in results.items()
+                ],
+            }
+        )
+        return 0
+    rows = []
+    for path, result in results.items():
+        figures = result.figures()
+        rows.append(
+            (
+                path.stem,
+                result.environment,
+                f"{100.0 * (figures['success_rate'] or 0.0):.1f}",
+                f"{100.0 * (figures['crash_rate'] or 0.0):.1f}",
+                _number(figures["final_distance_m"], ".3f"),
+                _number(figures["reward"], ".1f"),
+                _number(figures["success_duration_s"], ".2f"),
+                _number(figures["lap_s"], ".2f"),
+                ", ".join(f"{count} {reason}" for reason, count in result.counts().items()),
+            )
+        )
+    columns = ("policy", "environment", "success %", "crash %", "distance m", "reward", "time s", "lap s", "ends")
+    title = f"{command.episodes} episodes, seed {command.seed}, randomization {command.randomization}"
+    print_table(title, columns, rows, left=("environment", "ends"))
+    print("distance: mean distance from the goal at the end; time, lap: means over the successful episodes")
+    return 0
+
+
+def _number(value: float | None, form: str) -> str:
+    """Return a number as text, a dash for None."""
+    return "–" if value is None else format(value, form)

@@ -1,0 +1,281 @@
+"""``dronevio sfm``: structure from motion, a reconstruction of a scene from images alone."""
+
+import math
+import shlex
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from dronevio.cli.options import Output, OutputOptions
+from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
+from dronevio.cli.settings.option_tables import SFM, options_from
+from dronevio.cli.terminal import parse, print_json, print_values, progress_bars
+from dronevio.estimator.sfm.config import SfmConfig
+from dronevio.models.ranges import Range, Settings
+
+if TYPE_CHECKING:
+    from dronevio.estimator.sfm.pipeline import SfmResult
+    from dronevio.estimator.sfm.placement.world import WorldFrame
+    from dronevio.models.camera import CameraModel
+    from dronevio.models.image_sets import ImageSet
+
+Format = Literal["colmap-binary", "colmap-text", "bundler", "ply"]
+
+
+@dataclass(frozen=True)
+class SfmCommand(Settings):
+    """Reconstruct cameras and points from images alone (structure from motion).
+
+    IMAGES is a folder of photographs, a video or a recording. Without a calibration, focal length and
+    distortion are estimated, from EXIF data or a guess; the cameras of a recording are calibrated. The IMU of a
+    recording, if the motion suffices, or two or more cameras give a reconstruction in metres; otherwise its scale is
+    arbitrary. With an IMU, z points up. The result is a folder with the reconstruction in each format, a report with
+    pictures and a rerun file.
+
+    An interrupted reconstruction continues where it stopped when the same command is repeated. Images are added to an
+    earlier result with --add-to.
+
+    Examples:
+      dronevio sfm photographs
+      dronevio sfm photographs --add-to runs/sfm-photographs --out house-2
+      dronevio sfm photographs --camera per-image --masks masks --out house
+      dronevio sfm flight.mp4 --every 10
+      dronevio sfm recordings/room-0 --frames 100
+      dronevio sfm recordings/room-0 --frames 100 --poses recordings/room-0
+      dronevio sfm V1_01_easy --cameras 0 1 --frames 100 --pairs.overlap 20 --format colmap-text
+    """
+
+    images: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="IMAGES")]
+    """Folder of images, video, or recording (folder of a data set, or bag)."""
+    out: Path | None = None
+    """Folder to make; runs/sfm-NAME by default."""
+    format: tuple[Format, ...] = ("colmap-binary", "ply")
+    """Formats of the reconstruction: COLMAP's binary or text model, Bundler's file, the points as PLY."""
+    camera: Literal["shared", "per-image"] | None = None
+    """For folders: whether images of one size and lens share a camera, as by default, or each has its own."""
+    calibration: Path | None = None
+    """For folders and videos: calibration of the camera, a Kalibr camchain.yaml or a recording; it stays fixed."""
+    lens: Literal["pinhole", "fisheye"] | None = None
+    """For folders and videos without a calibration: kind of the lens, a pinhole by default. Focal length and distortion
+    are estimated: two coefficients of a pinhole with radial distortion, four of an equidistant fisheye."""
+    masks: Path | None = None
+    """Folder of masks with the names of the images, or one mask for all; no features are detected where it is black."""
+    every: Annotated[int | None, Range(low=1)] = None
+    """For videos: distance between the frames to use."""
+    cameras: Annotated[tuple[int, ...] | None, Range(0, 15)] = None
+    """For recordings: cameras to use, counted from 0; the first by default."""
+    frames: Annotated[int | None, Range(low=1)] = None
+    """For recordings: number of frames to use, spread evenly; all by default."""
+    add_to: Path | None = None
+    """Result of an earlier ``dronevio sfm``, or model of COLMAP, to which the images that it lacks are added. Its world
+    frame and its scale stay; its cameras are adjusted again. IMAGES contains its images, too, or --earlier-images."""
+    earlier_images: Path | None = None
+    """With --add-to: folder, video or recording of the images of the earlier result; IMAGES by default."""
+    poses: Path | None = None
+    """Known poses of images: a trajectory (TUM or EuRoC), a recording with ground truth, or a model of COLMAP. They
+    determine the world frame and the scale; images without one are registered as usual."""
+    poses_of: Literal["imu", "camera"] | None = None
+    """Whether a trajectory of --poses is that of the IMU, the default for recordings, or of the camera."""
+    pose_sigma_m: Annotated[float, Range(low=0.0)] = 0.0
+    """Standard deviation of the positions of --poses [m]; 0 for exact poses, which stay fixed."""
+    pose_sigma_deg: Annotated[float, Range(low=0.0)] = 0.0
+    """Standard deviation of the rotations of --poses [deg]; 0 for exact poses, which stay fixed."""
+    output: Output = field(default_factory=OutputOptions)
+    """How the result is written and printed."""
+    sfm: Annotated[SfmConfig, tyro.conf.arg(name="")] = field(default_factory=SfmConfig, metadata=options_from(SFM))
+    """Settings of the reconstruction."""
+    changes: SettingsInput = field(default_factory=SettingsOptions)
+    """Changes of settings."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command and return its exit code."""
+    command = parse(SfmCommand, arguments, "sfm")
+
+    from dronevio.cli.output_files import atomic_folder, require_free
+    from dronevio.estimator.sfm.pipeline import reconstruct
+    from dronevio.estimator.sfm.workspace import Workspace
+    from dronevio.models.errors import InputError
+    from dronevio.models.reconstructions.formats import check_cameras
+    from dronevio.sfm_inputs import read_earlier, read_poses
+
+    target = command.out or Path("runs") / f"sfm-{command.images.resolve().stem}"
+    require_free(target, command.output.overwrite)  # before the images are read
+    earlier = None if command.add_to is None else read_earlier(command.add_to)
+    images = _open(command, () if earlier is None else earlier.reconstruction.image_names)
+    for kind in command.format:  # before the reconstruction, which may take hours
+        check_cameras(images.cameras, kind)
+    sigmas = command.pose_sigma_m, math.radians(command.pose_sigma_deg)
+    poses = None if command.poses is None else read_poses(command.poses, images, command.poses_of, *sigmas)
+    work = target.absolute().with_name(f".{target.name}.work")
+    with progress_bars(quiet=command.output.json) as bars:
+        result = reconstruct(
+            images,
+            command.sfm,
+            Workspace(work),
+            bars.bar,
+            earlier=None if earlier is None else earlier.reconstruction,
+            earlier_world=None if earlier is None else earlier.world,
+            poses=poses,
+        )
+    if not result.reconstructions:
+        shutil.rmtree(work, ignore_errors=True)
+        raise InputError(
+            command.images,
+            f"{len(images.names)} images, no two of which determine the motion of a camera",
+            "images of one scene that overlap, from different positions",
+        )
+    with atomic_folder(target, command.output.overwrite, mark="report.json") as folder:
+        _write(folder, target, command, arguments, images, result)
+    shutil.rmtree(work, ignore_errors=True)
+    if command.output.json:
+        print_json(_summary(target, images, result))
+        return 0
+    _print(target, images, result)
+    return 0
+
+
+def _open(command: SfmCommand, earlier: tuple[str, ...]) -> "ImageSet":
+    """Return the images of the command, together with those of an earlier result by their names."""
+    from dronevio.models.errors import ConfigError
+    from dronevio.models.image_sets import open_images, with_earlier
+
+    if command.earlier_images is not None and command.add_to is None:
+        raise ConfigError("--earlier-images without --add-to; expected both")
+    options: dict[str, Any] = {
+        "camera": command.camera,
+        "model": None if command.calibration is None else _calibrated(command.calibration),
+        "masks": command.masks,
+        "cameras": command.cameras,
+        "lens": {None: None, "pinhole": "radtan", "fisheye": "equidistant"}[command.lens],
+    }
+    images = open_images(command.images, **options, every=command.every, frames=command.frames)
+    if command.add_to is None:
+        return images
+    is_one_source = command.earlier_images is None
+    available = open_images(command.earlier_images or command.images, **options)
+    return with_earlier(images, earlier, available, is_one_source)
+
+
+def _calibrated(path: Path) -> "CameraModel":
+    """Return the model of the first camera of a calibration."""
+    from dronevio.models.recordings.open import read_rig
+
+    return read_rig(path).cameras[0].model
+
+
+def _write(
+    folder: Path,
+    target: Path,
+    command: SfmCommand,
+    arguments: Sequence[str],
+    images: "ImageSet",
+    result: "SfmResult",
+) -> None:
+    """Write the reconstruction, its report and its rerun file."""
+    from dronevio import __version__
+    from dronevio.eval.provenance import RunInfo
+    from dronevio.eval.report.reconstruction import ReconstructionResults, write_reconstruction_report
+    from dronevio.eval.rerun.reconstruction import write_reconstruction_rerun
+    from dronevio.models.image_sets.source import ImageSource, write_image_source
+    from dronevio.models.reconstructions import write_reconstruction
+    from dronevio.models.serialization import to_jsonable
+
+    for kind in command.format:
+        for number, reconstruction in enumerate(result.reconstructions):
+            name = {"bundler": f"bundle-{number}.out", "ply": f"points-{number}.ply"}.get(kind, f"{kind}/{number}")
+            write_reconstruction(reconstruction, folder / name, kind)
+    source = ImageSource(command.images, command.earlier_images, command.masks, command.cameras)
+    write_image_source(folder / "images.json", source)
+    read = _reader(images)
+    registered = {name for reconstruction in result.reconstructions for name in reconstruction.image_names}
+    info = RunInfo(
+        title=f"Structure from motion: {command.images.name}",
+        command=shlex.join(["dronevio", "sfm", *arguments]),
+        open_command=f"dronevio view {target}",
+        configuration={"dronevio": __version__, "sfm": to_jsonable(command.sfm)},
+    )
+    results = ReconstructionResults(
+        components=result.reconstructions,
+        all_image_names=images.names,
+        unregistered={name: _reason(result, i) for i, name in enumerate(images.names) if name not in registered},
+        times_s=result.times_s,
+        match_counts=result.match_counts,
+        read_image=read,
+        unit="m" if result.is_metric else "",
+        up=_up(result),
+    )
+    write_reconstruction_report(folder, info, results)
+    write_reconstruction_rerun(result.reconstructions, folder / "run.rrd", read, up=results.up, name=target.name)
+
+
+def _up(result: "SfmResult") -> Any:
+    """Return the up direction (3,) of the world frames, None if it is not known in all of them."""
+    import numpy as np
+
+    return np.array([0.0, 0.0, 1.0]) if all(world.is_vertical for world in result.worlds) else None
+
+
+def _reader(images: "ImageSet") -> Callable[[str], Any]:
+    """Return a function that reads an image by its name."""
+    index = {name: i for i, name in enumerate(images.names)}
+    return lambda name: images.read(index[name])
+
+
+def _reason(result: "SfmResult", image: int) -> str:
+    """Return why an image is not registered."""
+    if result.feature_counts[image] == 0:
+        return "no features"
+    if not result.match_counts[image].any():
+        return "no verified matches with another image"
+    return "too few of its features belong to points of the reconstruction"
+
+
+def _summary(target: Path, images: "ImageSet", result: "SfmResult") -> dict[str, Any]:
+    from dronevio.eval.metrics.reconstruction import reconstruction_statistics
+    from dronevio.models.serialization import to_jsonable
+
+    statistics = to_jsonable(reconstruction_statistics(result.reconstructions, len(images.names)))
+    assert isinstance(statistics, dict)
+    worlds = to_jsonable(result.worlds)
+    return {"out": str(target), **statistics, "metric": result.is_metric, "worlds": worlds, "times_s": result.times_s}
+
+
+def _world_values(world: "WorldFrame") -> list[tuple[str, str, str]]:
+    """Return the rows of the table about the world frame of the first component."""
+    import numpy as np
+
+    sources = {"rig": "metric (baselines of the rig)", "imu": "metric (IMU)", "poses": "metric (known poses)"}
+    scale = sources.get(world.scale, "as in the earlier result" if world.scale == "earlier" else world.scale)
+    rows = [("scale", scale, "")]
+    if world.imu is not None and world.scale == "imu":
+        rows.append(("scale, standard deviation", f"{100.0 * world.imu.scale_sigma:.2f}", "%"))
+    if world.imu is not None and world.is_vertical:
+        rows.append(("gravity, standard deviation", f"{np.degrees(world.imu.tilt_sigma_rad):.3f}", "°"))
+    return [*rows, ("IMU not used", world.note, "")] if world.note else rows
+
+
+def _print(target: Path, images: "ImageSet", result: "SfmResult") -> None:
+    from dronevio.eval.metrics.reconstruction import reconstruction_statistics
+
+    statistics = reconstruction_statistics(result.reconstructions, len(images.names))
+    print_values(
+        "Structure from motion",
+        (
+            ("images registered", f"{statistics.registered_images} of {statistics.images}", ""),
+            ("components", f"{statistics.components}", ""),
+            ("points", f"{statistics.points}", ""),
+            ("observations", f"{statistics.observations}", ""),
+            ("mean track length", f"{statistics.mean_track_length:.2f}", "images"),
+            ("reprojection error, median", f"{statistics.error_median_px:.2f}", "px"),
+            ("reprojection error, RMS", f"{statistics.error_rms_px:.2f}", "px"),
+            *_world_values(result.worlds[0]),
+            *((stage, f"{seconds:.1f}", "s") for stage, seconds in result.times_s.items()),
+        ),
+    )
+    print(f"report:   {target}/report.html")
+    print(f"open it:  dronevio view {target}")

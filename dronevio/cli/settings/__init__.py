@@ -1,0 +1,1 @@
+"""Settings on the command line: which of them are options, and how ``--set`` and ``--settings`` reach all of them."""

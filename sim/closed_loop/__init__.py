@@ -1,0 +1,3 @@
+"""Flights on the estimated state: a control loop that is closed over an estimator."""
+
+__all__: list[str] = []

@@ -1,0 +1,197 @@
+"""Camera observations: the images that environments add to their observations."""
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.errors import ConfigError
+from dronevio.models.imu import Times
+from dronevio.models.ranges import Range, Settings
+from dronevio.models.rig import RigCamera
+from dronevio.sim.appearance.textures import PIXELS_PER_M
+from dronevio.sim.cameras.atlas_renderer import NO_MOVERS, MoverPoses
+from dronevio.sim.cameras.camera import OffscreenCamera
+from dronevio.sim.rendering.loaded_world import LoadedWorld, WorldKey, lease_world
+from dronevio.sim.rendering.shared import Lease
+
+Array = npt.NDArray[np.float64]
+Images = dict[str, npt.NDArray[Any]]
+ImageKind = Literal["grey", "rgb", "depth"]
+
+_CHANNELS: dict[ImageKind, int] = {"grey": 1, "rgb": 3, "depth": 1}
+_SHARP_FROM_M = 1.5  # distance from which reduced textures are as fine as the rendered pixels
+_REDUCTIONS = (4, 2, 1)
+_SUPERSAMPLING = 1.5  # rendered pixels per image pixel along each axis; published environments depend on it
+
+
+class CameraObservation(Protocol):
+    """Interface of the renderer of the images of environments."""
+
+    def spaces(self) -> dict[str, spaces.Box]:
+        """Return the spaces of the images of one environment by name."""
+
+    def observe(self, T_world_imu: Array, t_ns: Times | None = None) -> Images:
+        """Return images by name.
+
+        Args:
+            T_world_imu: (k, 4, 4) Poses of the IMUs of k environments.
+            t_ns: (k,) Times since the starts of their episodes [ns], at which moving objects are shown; 0 by default.
+
+        Returns:
+            Arrays (k, H, W, C).
+        """
+
+    def close(self) -> None:
+        """Release the resources of rendering; further calls have no effect."""
+
+
+@dataclass(frozen=True)
+class ImageSettings(Settings):
+    """Kinds and size of the images of an environment."""
+
+    kinds: tuple[ImageKind, ...] = ("grey",)
+    """Kinds of images: ``grey``, ``rgb`` or ``depth``. Each is rendered separately."""
+    width: Annotated[int, Range(1, 4096)] = 64
+    """Width of the images [px]."""
+    height: Annotated[int, Range(1, 4096)] = 64
+    """Height of the images [px]. The field of view is that of the rig's camera for any width and height."""
+    depth_max_m: Annotated[float, Range(above=0.0, high=1e4)] = 20.0
+    """Largest depth: farther surfaces, and pixels without a surface, have this depth [m]."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ConfigError: A kind is unknown or listed twice, or a number is out of range.
+        """
+        super().__post_init__()
+        if not self.kinds or len(set(self.kinds)) < len(self.kinds) or not set(self.kinds) <= set(_CHANNELS):
+            raise ConfigError(f"images of kinds {self.kinds}; expected some of {', '.join(_CHANNELS)}, each once")
+
+
+@dataclass(frozen=True, eq=False)
+class _Renderer:
+    """A camera in a loaded world."""
+
+    lease: Lease[LoadedWorld]
+    camera: OffscreenCamera
+
+    def mover_poses(self, t_ns: Times | None, count: int) -> list[MoverPoses]:
+        """Return the poses of the moving objects of ``count`` environments at their times (count,) [ns]."""
+        movers = self.lease.value.movers
+        if t_ns is None or not movers:
+            return [NO_MOVERS] * count
+        poses = {mover.body: mover.poses(np.asarray(1e-9 * t_ns, dtype=np.float64)) for mover in movers}
+        return [{body: each[row] for body, each in poses.items()} for row in range(count)]
+
+    def image(self, kind: ImageKind, T_world_cam: Array, movers: MoverPoses) -> npt.NDArray[Any]:
+        """Return an image (H, W), or (H, W, 3) for ``rgb``."""
+        if kind == "grey":
+            return self.camera.render(T_world_cam, movers)
+        if kind == "rgb":
+            return self.camera.render_rgb(T_world_cam, movers)
+        return self.camera.render_depth(T_world_cam, movers)
+
+
+class RenderedObservation:
+    """Images of one camera of a rig in one world, for any number of environments; implements `CameraObservation`.
+
+    The world is loaded at the first call of `observe` and shared with the other environments of the process. The lens
+    is that of the rig's camera. Images have no noise and no motion blur, and are exposed as the textures are painted.
+    Depth is the z coordinate in the camera frame for ``radtan`` lenses, and the length of the ray for fisheyes.
+    """
+
+    def __init__(
+        self,
+        mounted: RigCamera,
+        world: str,
+        seed: int,
+        settings: ImageSettings | None = None,
+        texture_seed: int | None = None,
+    ) -> None:
+        """Define camera and world.
+
+        Args:
+            mounted: The camera and its mounting on the rig.
+            world: Name of the world.
+            seed: Seed of the world.
+            settings: Kinds and size of the images.
+            texture_seed: Seed of the textures, by default that of the world.
+        """
+        self._settings = settings or ImageSettings()
+        self._model = mounted.model.resized(self._settings.width, self._settings.height)
+        self._T_imu_cam = mounted.T_imu_cam
+        self._key = WorldKey(
+            world, seed, seed if texture_seed is None else texture_seed, texture_reduction(self._model)
+        )
+        self._renderer: _Renderer | None = None
+
+    def spaces(self) -> dict[str, spaces.Box]:
+        """Return the spaces of the images of one environment.
+
+        ``grey`` (H, W, 1) and ``rgb`` (H, W, 3) are uint8; ``depth`` (H, W, 1) is float32 [m].
+        """
+        return {kind: _space(kind, self._settings) for kind in self._settings.kinds}
+
+    def observe(self, T_world_imu: Array, t_ns: Times | None = None) -> Images:
+        """Return the images of k environments by kind.
+
+        Args:
+            T_world_imu: (k, 4, 4) Poses of the IMUs.
+            t_ns: (k,) Times since the starts of the episodes [ns], at which moving objects are shown; 0 by default.
+
+        Returns:
+            Arrays (k, H, W, 1), or (k, H, W, 3) for ``rgb``.
+
+        Raises:
+            ConfigError: The world is unknown.
+            GraphicsError: Off-screen OpenGL is not available.
+        """
+        renderer = self._opened()
+        Ts_world_cam = T_world_imu @ self._T_imu_cam
+        movers = renderer.mover_poses(t_ns, len(Ts_world_cam))
+        images: Images = {}
+        for kind in self._settings.kinds:
+            space = _space(kind, self._settings)
+            images[kind] = batch = np.empty((len(Ts_world_cam), *space.shape), space.dtype)
+            for image, T_world_cam, poses in zip(batch, Ts_world_cam, movers, strict=True):
+                image[:] = renderer.image(kind, T_world_cam, poses).reshape(space.shape)
+        if "depth" in images:
+            np.fmin(images["depth"], np.float32(self._settings.depth_max_m), out=images["depth"])  # also for NaN
+        return images
+
+    def close(self) -> None:
+        """Release the renderer; the process keeps recently used worlds for other environments."""
+        if self._renderer is not None:
+            renderer, self._renderer = self._renderer, None
+            renderer.lease.release()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes without the renderer, which cannot be pickled."""
+        return {**self.__dict__, "_renderer": None}
+
+    def _opened(self) -> _Renderer:
+        """Return the renderer, which is created if there is none."""
+        if self._renderer is None:
+            lease = lease_world(self._key)
+            camera = OffscreenCamera(lease.value.model, self._model, _SUPERSAMPLING, lease.value.context)
+            self._renderer = _Renderer(lease, camera)
+        return self._renderer
+
+
+def _space(kind: ImageKind, settings: ImageSettings) -> spaces.Box:
+    """Return the space of an image of a kind."""
+    shape = settings.height, settings.width, _CHANNELS[kind]
+    if kind == "depth":
+        return spaces.Box(0.0, settings.depth_max_m, shape, np.float32)
+    return spaces.Box(0, 255, shape, np.uint8)
+
+
+def texture_reduction(camera: CameraModel) -> int:
+    """Return the factor by which textures can be smaller for a camera, which sees them from one metre or more."""
+    rendered_px_per_m = _SUPERSAMPLING * max(camera.central_focal_px) / _SHARP_FROM_M
+    return next((factor for factor in _REDUCTIONS if rendered_px_per_m * factor <= PIXELS_PER_M), 1)

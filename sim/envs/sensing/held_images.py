@@ -1,0 +1,107 @@
+"""Images of many environments at a rate of their own, with mounting errors of the cameras and randomized appearance."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.imu import Times
+from dronevio.models.rotation import exp_so3, pose_matrix
+from dronevio.sim.envs.episodes.randomization import RandomizedParameters
+from dronevio.sim.envs.sensing.camera_observation import CameraObservation, Images
+from dronevio.sim.physics.vehicle_states import Mask
+
+Array = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class HeldImages:
+    """Images of n environments, each of which is shown for some steps."""
+
+    due_in: npt.NDArray[np.int64]
+    """(n,) Number of steps until the next image; 0 or less if it is due."""
+    images: Images
+    """(n, H, W, C) Newest images by name."""
+
+    def demanded(self, mask: Mask) -> "HeldImages":
+        """Return the images with new ones due in a mask (n,)."""
+        return replace(self, due_in=np.where(mask, 0, self.due_in))
+
+    def one_step_later(self) -> "HeldImages":
+        """Return the images after a step."""
+        return replace(self, due_in=self.due_in - 1)
+
+
+class ImageRenderer:
+    """Renders the images of environments: one at the start of an episode, and one every ``period`` steps."""
+
+    def __init__(self, period: int, make_source: Callable[[int], CameraObservation], texture_seed: int) -> None:
+        """Define cameras and rate; nothing is rendered yet.
+
+        Args:
+            period: Number of steps from one image to the next.
+            make_source: Function that returns the renderer of the world with a seed of its textures.
+            texture_seed: A seed of textures.
+        """
+        self._period, self._make_source = period, make_source
+        self._sources = {texture_seed: make_source(texture_seed)}
+        self.spaces = self._sources[texture_seed].spaces()
+        """Spaces of the images of one environment by name."""
+
+    def start(self, count: int) -> HeldImages:
+        """Return black images of ``count`` environments, all of them due."""
+        black = {name: np.zeros((count, *space.shape), space.dtype) for name, space in self.spaces.items()}
+        return HeldImages(np.zeros(count, dtype=np.int64), black)
+
+    def renewed(self, held: HeldImages, T_world_imu: Array, t_ns: Times, draws: RandomizedParameters) -> HeldImages:
+        """Return the images after those that are due have been rendered.
+
+        Args:
+            held: Images of n environments.
+            T_world_imu: (n, 4, 4) Poses of the IMUs.
+            t_ns: (n,) Times since the starts of the episodes [ns].
+            draws: Parameters of the episodes: mounting errors, light and textures.
+
+        Raises:
+            GraphicsError: Off-screen OpenGL is not available.
+        """
+        due = np.flatnonzero(held.due_in <= 0)
+        if not due.size:
+            return held
+        images = {name: image.copy() for name, image in held.images.items()}
+        for seed in np.unique(draws.texture_seed[due]).tolist():
+            rows = due[draws.texture_seed[due] == seed]
+            for name, image in self._rendered(rows, T_world_imu, t_ns, draws, self._source(seed)).items():
+                images[name][rows] = image
+        due_in = held.due_in.copy()
+        due_in[due] = self._period
+        return HeldImages(due_in, images)
+
+    def close(self) -> None:
+        """Release the resources of rendering; further calls have no effect."""
+        for source in self._sources.values():
+            source.close()
+
+    def _source(self, texture_seed: int) -> CameraObservation:
+        """Return the renderer of the world with a seed of its textures."""
+        if texture_seed not in self._sources:
+            self._sources[texture_seed] = self._make_source(texture_seed)
+        return self._sources[texture_seed]
+
+    def _rendered(
+        self, rows: Rows, T_world_imu: Array, t_ns: Times, draws: RandomizedParameters, source: CameraObservation
+    ) -> Images:
+        """Return the images of some environments."""
+        error = pose_matrix(exp_so3(draws.camera_rotation_rad[rows]), draws.camera_translation_m[rows])
+        images = source.observe(T_world_imu[rows] @ error, t_ns[rows])
+        return {name: _lit(image, draws.light[rows]) for name, image in images.items()}
+
+
+def _lit(images: npt.NDArray[Any], light: Array) -> npt.NDArray[Any]:
+    """Return images (k, H, W, C) of grey levels or colours at illuminations (k,); others are returned unchanged."""
+    if images.dtype != np.uint8 or np.all(light == 1.0):
+        return images
+    return np.clip(np.rint(images * light[:, None, None, None]), 0.0, 255.0).astype(np.uint8)
