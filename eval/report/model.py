@@ -243,4 +243,6 @@ class RunReport:
     def values(self) -> dict[str, object]:
         """The content of ``report.json``."""
         sections = asdict(self)
-        return {"format": FORMAT, **sections.pop("info"), **sections}
+        info = sections.pop("info")
+        origin = {name: info.pop(name) for name in ("configuration", "versions", "machine")}
+        return {"format": FORMAT, **info, **sections, **origin}
