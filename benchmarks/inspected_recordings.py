@@ -15,7 +15,6 @@ from pathlib import Path
 import clock_steps
 import cv2
 import numpy as np
-import numpy.typing as npt
 import tyro
 from measuring import ChangedRecording, print_rows, section_of
 from wrong_inputs import FAULTS, Change, of_images, of_order
@@ -25,8 +24,6 @@ from dronevio.inspection.model import Finding, Inspection, Verdict
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording
-
-Array = npt.NDArray[np.float64]
 
 STEP_S, CAMERA_STEP_NS = -3.013, 100_000_000
 DRIFTS_PPM = (500.0, 2000.0)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-Image = npt.NDArray[np.uint8]
+from dronevio.models.arrays import Image
 
 STRIDE = 2
 """Every second pixel in each direction suffices for brightness and contrast."""

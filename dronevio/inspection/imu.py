@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.imu.outliers import outlying_samples
 from dronevio.estimator.imu.saturation import MIN_ACCEL_RANGE_M_S2, MIN_GYRO_RANGE_RAD_S, SaturationDetector
@@ -17,9 +16,8 @@ from dronevio.inspection.inertial import (
 )
 from dronevio.inspection.measured import Measured
 from dronevio.inspection.model import Finding, Topic, Verdict, graded, more_severe
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2, IMU_GAP_INTERVALS, ImuSamples
-
-Array = npt.NDArray[np.float64]
 
 MIN_RATE_HZ = 50.0
 """At a lower rate, motion of 10 Hz, as fast as a small drone is, has fewer than five samples a period."""

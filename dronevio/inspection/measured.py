@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.imu.outliers import outlying_samples
 from dronevio.inspection.appearance import Appearance, appearance_of
@@ -15,15 +14,13 @@ from dronevio.inspection.offsets import OffsetCourse, offset_course
 from dronevio.inspection.relation import Gyroscope, Relation, Rotations, played_backwards, relate
 from dronevio.inspection.sampling import sampled_runs
 from dronevio.inspection.stereo import StereoCheck, check_stereo
+from dronevio.models.arrays import Array, Image
 from dronevio.models.defects import Defect
 from dronevio.models.imu import ImuSamples
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Recording
 from dronevio.models.rotation import log_so3
 from dronevio.models.state import CameraFrame
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 
 PAIR_S = 0.04
 """Shortest time between the two images of a pair [s]; over shorter ones, a drone hardly rotates."""

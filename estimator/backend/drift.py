@@ -9,12 +9,10 @@ all directions. The relative poses within the prior, and with them the scale, ke
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.marginal_prior import POINT_DIM, STATE_DIM, MarginalPrior
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import skew
-
-Array = npt.NDArray[np.float64]
 
 
 def with_rotation_error(prior: MarginalPrior, pivot_m: Array, sigma_rad: float) -> MarginalPrior:

@@ -11,11 +11,9 @@ from functools import cached_property
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.optimization.linalg import schur_complement
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 STATE_DIM, POSE_DIM, POINT_DIM = 15, 6, 3
 """Degrees of freedom of a keyframe's state, of its pose, and of a landmark."""

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
 from dronevio.estimator.backend.config import SmootherConfig
@@ -32,10 +31,9 @@ from dronevio.estimator.imu.noise import ImuVarianceComponents
 from dronevio.estimator.optimization.gauss_newton import gauss_newton
 from dronevio.estimator.optimization.levenberg_marquardt import levenberg_marquardt
 from dronevio.estimator.optimization.linalg import CholeskyFactor, SingularError
-from dronevio.estimator.types import GAUGE_SIGMA, NO_FEATURES, Calibration, Integers, Observations, common_rows
+from dronevio.estimator.types import GAUGE_SIGMA, NO_FEATURES, Calibration, Observations, common_rows
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

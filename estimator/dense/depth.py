@@ -11,15 +11,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.dense.config import DepthConfig
 from dronevio.estimator.dense.sgm import aggregate, subpixel_minimum
 from dronevio.estimator.dense.sweep import SCALE, Warp, sweep
 from dronevio.estimator.dense.views import View
-
-Array = npt.NDArray[np.float64]
-Floats = npt.NDArray[np.float32]
+from dronevio.models.arrays import Array, Floats
 
 _MEDIAN_PX = 5  # side of the median filter of a result before it is refined
 _CHOICE_PX = (5, 5)  # windows over which the sums of two sweeps are compared

@@ -12,10 +12,9 @@ import numpy.typing as npt
 
 from dronevio.estimator.dense.config import MeshConfig
 from dronevio.estimator.dense.consistency import PosedDepth
+from dronevio.models.arrays import Floats
 from dronevio.models.progress import Progress, silent
 
-Array = npt.NDArray[np.float64]
-Floats = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 
 BLOCK = 8

@@ -8,12 +8,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 
 MIN_RATIO = 0.85
 """Ratio of two focal lengths below which the finer image is reduced; smaller differences are tracked well."""

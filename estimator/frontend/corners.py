@@ -13,10 +13,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.ranges import Range, Settings
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 
 DOWNSAMPLING = 2  # pixels at full resolution per pixel of the image in which corners are detected
 COARSE_BLOCK_PX, FINE_BLOCK_PX = 3, 5  # side of the block over which gradients are summed, at half and full resolution

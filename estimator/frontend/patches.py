@@ -15,12 +15,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import rotation_z, yaw_rad_from_matrix
 
-Array = npt.NDArray[np.float64]
 Array32 = npt.NDArray[np.float32]
-Image = npt.NDArray[np.uint8]
 
 MAX_WARP_STEP = 0.3  # largest change of a warp element per iteration; with 0.5 the warp could become singular
 PIXEL_BLUR_PX = 0.3  # the area of a pixel blurs an image by 1/√12

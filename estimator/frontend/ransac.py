@@ -10,9 +10,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import cross
-
-Array = npt.NDArray[np.float64]
 
 HYPOTHESES = 96  # a pair without outliers is drawn with a probability of 99.9 % if 70 % are outliers
 CONFIDENCE = 0.999  # probability that one sample of five matches is free of outliers

@@ -11,15 +11,13 @@ acceleration a, a depth z and a time Δt between frames.
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import NO_INCREMENTS, Increments
-from dronevio.estimator.types import Calibration, Integers, Matches, Observations, common_rows
+from dronevio.estimator.types import Calibration, Matches, Observations, common_rows
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rotation import exp_so3, integrated_rotations, log_so3, pose_matrix
 from dronevio.models.state import Estimate
-
-Array = npt.NDArray[np.float64]
 
 EXTRAPOLATION_S = 0.1  # beyond the measured motion, the angular velocity is held for this time [s]
 ACCEL_SAMPLES = 4  # increments on each side of a frame whose mean is its specific force, to average out vibration

@@ -20,12 +20,10 @@ import numpy.typing as npt
 from dronevio.estimator.frontend import klt
 from dronevio.estimator.frontend.common_scale import CommonScale
 from dronevio.estimator.frontend.protocol import is_inside
+from dronevio.models.arrays import Array, Image
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import cross, exp_so3, inverse_pose
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 
 ITERATIONS = 10
 """Number of iterations of weighted least squares; later ones change residuals by far less than a pixel."""

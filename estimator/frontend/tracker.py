@@ -20,14 +20,11 @@ from dronevio.estimator.frontend.patches import WALK_S, PatchAligner, PatchConfi
 from dronevio.estimator.frontend.protocol import AtExposure, image_of, is_inside
 from dronevio.estimator.frontend.ransac import MIN_MATCHES, epipolar_inliers, essential_inliers
 from dronevio.estimator.types import Observations
+from dronevio.models.arrays import Array, Image, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
-Mask = npt.NDArray[np.bool_]
 
 OUTSIDE_PX = 1e4  # a finite coordinate outside any image, for predictions behind the camera
 RETRY_LEVELS = 2  # additional pyramid levels for features that the prediction did not lead to

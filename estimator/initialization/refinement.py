@@ -23,8 +23,7 @@ from dronevio.estimator.initialization.views import WindowMeasurements
 from dronevio.estimator.optimization.gauss_newton import gauss_newton
 from dronevio.estimator.optimization.linalg import LUFactor
 from dronevio.estimator.optimization.robust import geman_mcclure_loss, geman_mcclure_weight
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 STEPS = 4
 """Number of Gauss-Newton steps."""

@@ -6,7 +6,8 @@ between two frames. After darkness, where nothing was tracked, the IMU connects 
 
 import numpy as np
 
-from dronevio.estimator.types import Integers, Observations, common_rows
+from dronevio.estimator.types import Observations, common_rows
+from dronevio.models.arrays import Integers
 
 MIN_FEATURES = 8
 """Smallest number of common features that connect two keyframes; fewer may be tracked by mistake."""

@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.observations import track_sigma_scale
 from dronevio.estimator.backend.reprojection import MEDIAN_CHI2_2DOF
 from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
 from dronevio.estimator.optimization.linear_fit import LinearFit, median, robust_linear_fit
-from dronevio.estimator.types import Calibration, Integers, Observations, common_rows
+from dronevio.estimator.types import Calibration, Observations, common_rows
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 UNKNOWN_INFORMATION = 1e-6
 """Information on an unknown of which nothing is known, in its unit: enough for a solution."""

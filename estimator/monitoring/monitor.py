@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
 from dronevio.estimator.monitoring.causes import Cause, Reason
@@ -16,8 +15,6 @@ from dronevio.estimator.optimization.linear_fit import median
 from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.imu import ImuModel
 from dronevio.models.state import HealthQuantities, NavState
-
-Array = npt.NDArray[np.float64]
 
 IMAGE_VARIANCES = 10
 """Number of keyframes from which the variance of image observations is taken."""

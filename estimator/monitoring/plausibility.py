@@ -9,14 +9,12 @@ A larger change is no estimate of a flight, whatever its covariance, but the res
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.monitoring.causes import Cause, Reason
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import log_so3
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 MAX_SPEED_M_S = 200.0
 """Largest speed of a vehicle that flies by images [m/s]; the fastest quadrotor has flown at 180 m/s."""

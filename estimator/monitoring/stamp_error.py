@@ -17,14 +17,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.monitoring.innovation import Innovation
 from dronevio.estimator.optimization.linear_fit import median
+from dronevio.models.arrays import Array
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 MEDIAN_CHI2_1DOF = 0.4549
 """Median of the χ² distribution with one degree of freedom."""

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 RELATIVE_DAMPING = 1e-12
 """Addition to the unit diagonal of a scaled information matrix, so that rounding errors do not make it indefinite."""

@@ -17,12 +17,11 @@ from gtsam.symbol_shorthand import K, P, X
 
 from dronevio.estimator.sfm.model import KnownPoses, Scene, SfmState
 from dronevio.estimator.sfm.normalized import normalized
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.ranges import Range, Settings
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 Calibration: TypeAlias = gtsam.Cal3DS2 | gtsam.Cal3Fisheye | gtsam.Cal3_S2
 
 UNIT = gtsam.Cal3_S2()

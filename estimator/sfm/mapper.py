@@ -17,13 +17,12 @@ from dronevio.estimator.sfm.model import Scene, SfmState, initial_state
 from dronevio.estimator.sfm.resection import resect
 from dronevio.estimator.sfm.structure import complete, remove_outliers, repair, triangulate
 from dronevio.estimator.sfm.two_view import Geometry, TwoView
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.progress import Progress, silent
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 SEED_STAGES = ((100, 16.0), (50, 8.0), (30, 4.0), (20, 2.0))
 """Smallest numbers of matches of a seed pair and smallest median angles [deg], from the strictest to the weakest."""

@@ -12,10 +12,8 @@ from dronevio.estimator.optimization.linalg import LeastNormFactor
 from dronevio.estimator.optimization.robust import cauchy_inflation, cauchy_loss
 from dronevio.estimator.sfm.bearings import angles_between_rad, tangent_bases
 from dronevio.estimator.sfm.config import ResectionConfig
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.rotation import exp_so3, pose_matrix, skew
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 MAX_PINHOLE_RAD = np.radians(75.0)
 """Largest angle from the optical axis of the points that RANSAC uses [rad]."""

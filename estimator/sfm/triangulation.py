@@ -12,10 +12,9 @@ import numpy.typing as npt
 
 from dronevio.estimator.sfm.bearings import angles_between_rad, midpoints
 from dronevio.estimator.sfm.config import TriangulationConfig
+from dronevio.models.arrays import Array, Mask
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 HYPOTHESES = 8
 """Number of pairs of rays of a track that are tried."""

@@ -10,16 +10,13 @@ from enum import StrEnum
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.sfm.bearings import angles_between_rad, midpoints
 from dronevio.estimator.sfm.config import VerificationConfig
 from dronevio.estimator.sfm.matching import Matches
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.rotation import pose_matrix
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 MAX_PINHOLE_RAD = np.radians(65.0)
 """Largest angle from the optical axis of the matches that determine the essential matrix [rad]."""

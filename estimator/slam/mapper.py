@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.correction import Correction
@@ -37,12 +36,11 @@ from dronevio.estimator.slam.places.localization import (
     tile_side_px,
 )
 from dronevio.estimator.slam.places.verification import PlaceMatch
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import inverse_pose
 from dronevio.models.slam_map import SlamMap
-
-Array = npt.NDArray[np.float64]
 
 MAX_BETWEEN = 20
 """Number of the newest loops of a track with another submap by which the two may be joined."""

@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.odometry import VisualInertialOdometry
@@ -38,6 +37,7 @@ from dronevio.estimator.slam.worker.map_builder import (
 )
 from dronevio.estimator.slam.worker.map_process import MapProcess
 from dronevio.estimator.threads import single_threaded
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.map_correction import MapCorrection
@@ -48,8 +48,6 @@ from dronevio.models.recordings.files import as_input_error
 from dronevio.models.rig import Rig
 from dronevio.models.slam_map import SlamMap
 from dronevio.models.state import CameraFrame, Estimate, NavState
-
-Array = npt.NDArray[np.float64]
 
 
 class VisualSlam:

@@ -25,18 +25,16 @@ from dataclasses import asdict, dataclass
 from typing import Literal, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.eval.map_results import MapResults, MapSummary
 from dronevio.eval.metrics import IDENTITY, ScoredTrajectory, Scores
 from dronevio.eval.provenance import RunInfo
 from dronevio.eval.run import EstimatorRun, Innovations
+from dronevio.models.arrays import Array
 from dronevio.models.defects import defect_values
 from dronevio.models.policies.outcome import PolicyOutcome
 from dronevio.models.protocols import Recording
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 FORMAT = "dronevio-report/1"
 

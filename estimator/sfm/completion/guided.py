@@ -17,10 +17,9 @@ from dronevio.estimator.sfm.config import CompletionConfig
 from dronevio.estimator.sfm.features import Features
 from dronevio.estimator.sfm.model import Scene, SfmState
 from dronevio.estimator.sfm.tracks import Tracks
+from dronevio.models.arrays import Array, Mask
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 MIN_SHARED_POINTS = 10
 """Smallest number of shared points of two images at which the points of one are looked for in the other."""

@@ -14,15 +14,10 @@ from dataclasses import dataclass
 from multiprocessing import connection, get_context, parent_process
 from typing import Protocol
 
-import numpy as np
-import numpy.typing as npt
-
 from dronevio.estimator.slam.adjustment.agreement import differences
 from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentConfig, AdjustmentInputs, Scale, adjust
 from dronevio.estimator.slam.adjustment.odometry_scale import with_scale_of_odometry
-
-Array = npt.NDArray[np.float64]
-
+from dronevio.models.arrays import Array
 
 MAX_NOISE_RATIO = 1.4
 """Ratio of the accelerometer's estimated noise to its data sheet up to which the IMU may determine the scale. It is

@@ -10,13 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustedMap, AdjustmentInputs, AdjustmentKeyframe
 from dronevio.estimator.slam.map.odometry_factors import RelativePose
 from dronevio.models.rotation import inverse_pose, log_so3
-
-Array = npt.NDArray[np.float64]
 
 MAX_SIGMAS = 3.0
 """Largest difference that agrees, in standard deviations."""

@@ -33,7 +33,6 @@ from typing import Annotated
 import gtsam
 import gtsam_unstable
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import B, E, L, V, X
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
@@ -44,11 +43,9 @@ from dronevio.estimator.imu.preintegration import Preintegration, Preintegration
 from dronevio.estimator.slam.map.odometry_factors import RelativePose
 from dronevio.estimator.slam.map.pose_graph import PoseGraph, factor_graph
 from dronevio.estimator.types import Calibration
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.ranges import Range, Settings
-
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 LONG_INTERVAL_S = 1.0
 """Shortest interval of an IMU factor where the odometry determines the scale [s]; shorter at the end of a track."""

@@ -22,9 +22,8 @@ from dronevio.estimator.slam.map.odometry_factors import RelativePose
 from dronevio.estimator.slam.map.pose_graph import ADJUSTED_VARIANCE, PoseGraph, optimize
 from dronevio.estimator.slam.places.matching import Correspondences
 from dronevio.estimator.slam.places.relative_pose import RelativePoseConfig, Views, refine
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import inverse_pose
-
-Array = npt.NDArray[np.float64]
 
 MIN_OBSERVATIONS = 6
 """Smallest number of observations of final landmarks by which a loop is measured again."""

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.backend.observations import ObservationTable, observation_table
@@ -15,10 +14,9 @@ from dronevio.estimator.slam.map.keyframe import MapKeyframe
 from dronevio.estimator.slam.map.odometry_factors import RelativePose
 from dronevio.estimator.slam.map.pose_graph import PoseGraph
 from dronevio.estimator.types import Calibration, Observations
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuModel, ImuSamples, Times
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 ADJUSTED_MATCH_SIGMA_SCALE = 0.3
 """Standard deviation of a stereo match relative to that of its track in bundle adjustment, where the matches keep the

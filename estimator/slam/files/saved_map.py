@@ -17,12 +17,11 @@ from dronevio.estimator.slam.map.keyframe import KeyframeFeatures, MapKeyframe
 from dronevio.estimator.slam.map.odometry_factors import GravityDirection, RelativePose
 from dronevio.estimator.slam.map.pose_graph import PoseGraph
 from dronevio.estimator.slam.places.localization import LandmarkPatches
+from dronevio.models.arrays import Array, Floats
 from dronevio.models.errors import ConfigError
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import inverse_pose
 
-Array = npt.NDArray[np.float64]
-Floats = npt.NDArray[np.float32]
 Bytes = npt.NDArray[np.uint8]
 Rows = npt.NDArray[np.int32]
 Times = npt.NDArray[np.int64]

@@ -12,7 +12,6 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.slam.map.odometry_factors import (
     AbsolutePosition,
@@ -27,8 +26,7 @@ from dronevio.estimator.slam.map.pose_graph import (
     FREE_ROTATION_SIGMA_RAD,
     PoseGraph,
 )
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 UNKNOWN = np.diag(np.repeat([FREE_ROTATION_SIGMA_RAD**2, FREE_POSITION_SIGMA_M**2], 3))
 """(6, 6) Covariance of an unknown pose."""

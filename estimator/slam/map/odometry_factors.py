@@ -22,14 +22,12 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.backend.observations import NO_OBSERVATIONS, ObservationTable
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import adjoint, inverse_pose
-
-Array = npt.NDArray[np.float64]
 
 MAX_DECREASE = 0.5
 """Ratio of the standard deviation of a keyframe's position to that by the factors before it, below which the position

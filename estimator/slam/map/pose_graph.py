@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import X
 
 from dronevio.estimator.slam.map.odometry_factors import (
@@ -16,9 +15,8 @@ from dronevio.estimator.slam.map.odometry_factors import (
     scaled,
     tilt_axes,
 )
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import inverse_pose
-
-Array = npt.NDArray[np.float64]
 
 INLIER_PROBABILITY = 0.99
 """Probability of the χ² bound below which graduated non-convexity takes a loop as an inlier."""

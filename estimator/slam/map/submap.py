@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.map.covariance import UNKNOWN, covariances_of, covariances_with_loops, with_position
@@ -34,9 +33,8 @@ from dronevio.estimator.slam.map.pose_graph import (
     optimize,
     remeasured,
 )
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import inverse_pose, log_so3
-
-Array = npt.NDArray[np.float64]
 
 MAX_PASSED_LOOPS = 4
 """Number of loops of a keyframe up to which those of culled keyframes after it are passed on to it."""

@@ -17,12 +17,9 @@ The depths λ and the translation follow linearly. All hypotheses are computed a
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import cross, rotation_z
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,22 +12,17 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.frontend.patches import PatchAligner, PatchConfig
 from dronevio.estimator.slam.map.keyframe import KeyframeFeatures, MapKeyframe
 from dronevio.estimator.slam.map.odometry_factors import RelativePose
 from dronevio.estimator.slam.places.matching import Correspondences, described_landmarks
 from dronevio.estimator.slam.places.relative_pose import RelativePoseConfig, Views, refine, whitened_errors
+from dronevio.models.arrays import Array, Image, Integers, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import inverse_pose
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
-Integers = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 BORDER_PX = 3  # pixels around a patch that its gradients and its blur need
 MIN_LOCALIZED_DEPTH_M = 0.2  # smallest depth of a landmark that is projected

@@ -23,10 +23,9 @@ from dronevio.estimator.optimization.gauss_newton import gauss_newton
 from dronevio.estimator.optimization.linalg import LUFactor, SingularError
 from dronevio.estimator.optimization.robust import cauchy_inflation, cauchy_loss
 from dronevio.estimator.slam.places.matching import Correspondences
+from dronevio.models.arrays import Array
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import cross, exp_so3, pose_matrix, skew
-
-Array = npt.NDArray[np.float64]
 
 DOWN = np.array([0.0, 0.0, -1.0])
 MAX_ERROR = 1e3

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.observations import NO_OBSERVATIONS, ObservationTable
 from dronevio.estimator.slam.map.keyframe import MapKeyframe
@@ -27,12 +26,10 @@ from dronevio.estimator.slam.places.gravity_pose import (
 )
 from dronevio.estimator.slam.places.matching import Correspondences, DescriptorMatchingConfig, match_landmarks
 from dronevio.estimator.slam.places.relative_pose import PoseFit, RelativePoseConfig, Views, refine, whitened_errors
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import log_so3
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 FEW_ITERATIONS = 3
 """Number of Gauss-Newton steps where the result only selects matches, or begins close to the solution."""

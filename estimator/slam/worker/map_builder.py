@@ -10,9 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
 
-import numpy as np
-import numpy.typing as npt
-
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.adjustment.adjuster import Adjuster, LocalAdjuster
 from dronevio.estimator.slam.adjustment.flight_measurements import FlightMeasurements, KeyframeMeasurements
@@ -25,10 +22,9 @@ from dronevio.estimator.slam.places.localization import KeyframeImages, Keyframe
 from dronevio.estimator.slam.places.recognizer import PlaceRecognizer
 from dronevio.estimator.slam.schedule import AdjustmentSchedule
 from dronevio.estimator.types import Observations
+from dronevio.models.arrays import Array, Image
 from dronevio.models.rig import Rig
 
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 Result = TypeVar("Result")
 
 

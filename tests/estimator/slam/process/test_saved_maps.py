@@ -6,7 +6,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.slam import final_map, visual_slam
@@ -21,6 +20,7 @@ from dronevio.estimator.slam.map.pose_graph import ADJUSTED_VARIANCE, optimize
 from dronevio.estimator.slam.map.submap import Adjustment, Submap
 from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.estimator.slam.worker.map_builder import MapBuilder, MarginalizedKeyframe
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig, euroc_rig
@@ -34,8 +34,6 @@ from tests.estimator.slam.process.test_visual_slam import (
     ScriptedOdometry,
     in_second_frame,
 )
-
-Array = npt.NDArray[np.float64]
 
 
 @cache

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.config import VioConfig
@@ -21,14 +20,13 @@ from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.estimator.slam.worker.keyframe_messages import KeyframeMessages
 from dronevio.estimator.slam.worker.map_builder import MarginalizedKeyframe
 from dronevio.estimator.types import Calibration
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import pose_matrix, rotation_z
 from dronevio.models.state import CameraFrame, Estimate, Health, NavState, Trajectory
 from tests.estimator.slam.process.conftest import DRIFT_M, INTERVAL_NS, PLACES, keyframe, one_camera
-
-Array = npt.NDArray[np.float64]
 
 T_SECOND_FIRST = pose_matrix(rotation_z(1.0), np.array([10.0, -20.0, 3.0]))
 """Pose of the first odometry frame in that after the loss."""
