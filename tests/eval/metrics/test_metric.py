@@ -42,7 +42,7 @@ def get_code(loader, name):
 
 SourceFileLoader.get_code = get_code
 
-from dronevio.cli.evaluate import print_scores
+from dronevio.cli.commands.evaluate import print_scores
 from dronevio.eval.benchmark.metrics import score_columns
 from dronevio.eval.benchmark.rows import Row, read_rows, write_rows
 from dronevio.eval.compare import metric_ratio
