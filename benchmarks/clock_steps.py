@@ -19,25 +19,23 @@ from typing import Annotated, Any
 import numpy as np
 import numpy.typing as npt
 import tyro
+from measuring import ChangedRecording, first_pose_s, odometry, opened, print_rows
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from dronevio import ate
-from dronevio.cli.terminal import print_table
-from dronevio.estimator.odometry import VisualInertialOdometry
-from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.defects import defects_text
 from dronevio.models.errors import DronevioError
-from dronevio.models.imu import ImuSamples, Times
+from dronevio.models.imu import Times
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.bag.file import typestore
 from dronevio.models.recordings.bag.writer import write_bag
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.segments import segments_of
-from dronevio.models.rig import Rig
-from dronevio.models.state import CameraFrame, Trajectory
+from dronevio.models.state import Trajectory
 
 LARGEST_RATIO, LARGEST_SPEED_M_S = 1.5, 20.0
+TITLES = ("copy", "frames", "first pose", "error", "cut by hand", "largest speed", "health", "defects", "wrong")
 MIDDLE = 100
 """Frame from which on the clock has stepped."""
 
@@ -60,46 +58,18 @@ class ClockStepsCommand:
     """Names of cases; all by default."""
 
 
-@dataclass(frozen=True, eq=False)
-class Cut:
-    """A part of a recording, cut out by hand; is a `Recording`."""
+def cut(whole: Recording, frames: slice) -> ChangedRecording:
+    """Return a part of a recording, cut out by hand, with the IMU samples of its time.
 
-    whole: Recording
-    """The recording that is cut."""
-    frames: slice
-    """Its frames in the part."""
-
-    @property
-    def name(self) -> str:
-        """Name of the recording."""
-        return self.whole.name
-
-    @property
-    def rig(self) -> Rig:
-        """Calibration of the recording."""
-        return self.whole.rig
-
-    @property
-    def frame_times_ns(self) -> Times:
-        """(M,) Time stamps of the frames [ns]."""
-        return self.whole.frame_times_ns[self.frames]
-
-    @property
-    def imu(self) -> ImuSamples:
-        """IMU samples of the time of the frames; a part that begins or ends with the recording has all up to there."""
-        first, last = self.whole.frame_times_ns[0], self.whole.frame_times_ns[-1]
-        imu, t_ns = self.whole.imu, self.frame_times_ns
-        imu = imu if t_ns[0] == first else imu.after(int(t_ns[0]) - 1)
-        return imu if t_ns[-1] == last else imu.up_to(int(self.whole.frame_times_ns[self.frames.stop]) - 1)
-
-    @property
-    def ground_truth(self) -> Trajectory | None:
-        """Ground truth of the recording."""
-        return self.whole.ground_truth
-
-    def frame(self, index: int) -> CameraFrame:
-        """Return a frame of the part."""
-        return self.whole.frame(range(len(self.whole.frame_times_ns))[self.frames][index])
+    A part that begins or ends with the recording has all samples up to there.
+    """
+    all_ns, imu = whole.frame_times_ns, whole.imu
+    rows = np.arange(len(all_ns))[frames]
+    if rows[0] > 0:
+        imu = imu.after(int(all_ns[rows[0]]) - 1)
+    if rows[-1] + 1 < len(all_ns):
+        imu = imu.up_to(int(all_ns[rows[-1] + 1]) - 1)
+    return replace(ChangedRecording.of(whole).chosen(rows), imu=imu)
 
 
 def kept(t_ns: Times) -> Order:
@@ -257,7 +227,7 @@ def speed_m_s(run: EstimatorRun) -> float:
 
 def rows_of(
     name: str, case: Case, recording: Recording, cameras: int, folder: Path, references: dict[Part, float]
-) -> list[tuple[str, ...]]:
+) -> list[dict[str, str]]:
     """Return the rows of a case, one for each segment; the last column is what is wrong.
 
     Args:
@@ -273,43 +243,48 @@ def rows_of(
     try:
         segments = segments_of(open_recording(case.make(folder), cameras, repair=True))
     except DronevioError as error:
-        return [(name, "", "", "", "", "", "", "", str(error))]
-    rows: list[tuple[str, ...]] = []
+        return [{**dict.fromkeys(TITLES, ""), "copy": name, "wrong": str(error)}]
+    rows: list[dict[str, str]] = []
     wrong = [] if len(segments) == len(case.parts) else [f"{len(segments)} segments instead of {len(case.parts)}"]
     for number, segment in enumerate(segments):
         part, shift_s = case.parts[min(number, len(case.parts) - 1)]
-        run = estimate_recording(segment, VisualInertialOdometry(segment.rig))
+        run = odometry(segment)
         if (part.start, part.stop) not in references:
-            reference = estimate_recording(Cut(recording, part), VisualInertialOdometry(recording.rig))
+            reference = odometry(cut(recording, part))
             references[part.start, part.stop] = error_mm(reference, truth, 0.0)
-        cut = references[part.start, part.stop]
+        by_hand_mm = references[part.start, part.stop]
         ate_mm, speed = error_mm(run, truth, shift_s), speed_m_s(run)
-        if not ate_mm <= LARGEST_RATIO * cut:
-            wrong.append(f"error {ate_mm / cut:.2f} ×")
+        if not ate_mm <= LARGEST_RATIO * by_hand_mm:
+            wrong.append(f"error {ate_mm / by_hand_mm:.2f} ×")
         if speed > LARGEST_SPEED_M_S:
             wrong.append(f"{speed:.0f} m/s")
-        first_s = (run.trajectory.t_ns[0] - run.t_ns[0]) * 1e-9 if len(run.trajectory) else float("nan")
-        health = ", ".join(f"{n} {health}" for health, n in Counter(e.health for e in run.estimates).items())
-        title = name if number == 0 else f"  segment {number + 1}"
-        figures = (f"{len(segment.frame_times_ns)}", f"{first_s:.2f} s", f"{ate_mm:.1f} mm", f"{cut:.1f} mm")
-        rows.append((title, *figures, f"{speed:.2f} m/s", health, defects_text(run.defects), "; ".join(wrong)))
+        rows.append(
+            {
+                "copy": name if number == 0 else f"  segment {number + 1}",
+                "frames": f"{len(segment.frame_times_ns)}",
+                "first pose": f"{first_pose_s(run):.2f} s",
+                "error": f"{ate_mm:.1f} mm",
+                "cut by hand": f"{by_hand_mm:.1f} mm",
+                "largest speed": f"{speed:.2f} m/s",
+                "health": ", ".join(f"{n} {health}" for health, n in Counter(e.health for e in run.estimates).items()),
+                "defects": defects_text(run.defects),
+                "wrong": "; ".join(wrong),
+            }
+        )
         wrong = []
     return rows
 
 
 def main(command: ClockStepsCommand) -> int:
     """Estimate all copies and print the table; return 1 if a bound does not hold."""
-    recording = open_recording(command.recording, command.cameras)
-    if recording.ground_truth is None:
-        raise SystemExit(f"{command.recording}: no ground truth; expected a recording with the true motion")
+    recording, _ = opened(command.recording, command.cameras)
     cases, rows = cases_of(command.recording, recording), []
     references: dict[Part, float] = {}
     for name in command.cases or cases:
         with tempfile.TemporaryDirectory(prefix="dronevio-") as scratch:
             rows += rows_of(name, cases[name], recording, command.cameras, Path(scratch), references)
-    titles = ("copy", "frames", "first pose", "error", "cut by hand", "largest speed", "health", "defects", "wrong")
-    print_table(f"{recording.name}, {command.cameras} cameras", titles, rows, left=("health", "defects", "wrong"))
-    return int(any(row[-1] for row in rows))
+    print_rows(f"{recording.name}, {command.cameras} cameras", rows, left=("health", "defects", "wrong"))
+    return int(any(row["wrong"] for row in rows))
 
 
 if __name__ == "__main__":

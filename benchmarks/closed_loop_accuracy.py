@@ -14,12 +14,9 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, before NumPy is imported
 os.environ.setdefault("LP_NUM_THREADS", "0")  # the software renderer computes in the thread that calls it
 
-import json
-import multiprocessing
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from statistics import fmean
@@ -27,13 +24,11 @@ from typing import Literal
 
 import numpy as np
 import tyro
+from measuring import ChangedRecording, computed, kept_results, odometry, print_rows
 
-from dronevio.cli.terminal import print_table
 from dronevio.estimator.odometry import VisualInertialOdometry
-from dronevio.estimators.driver import TimedEstimator, estimate_recording
+from dronevio.estimators.driver import TimedEstimator
 from dronevio.eval.metrics.scores import score_trajectory
-from dronevio.models.imu import ImuSamples, Times
-from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Trajectory
 from dronevio.sim.closed_loop.flight import fly_closed_loop
 from dronevio.sim.flight import Flight, fly
@@ -85,47 +80,15 @@ class FlightResult:
     """Largest distance of the vehicle from its reference [m]."""
 
 
-@dataclass(frozen=True, eq=False)
-class RenderedFlight:
-    """Recording of a finished flight, whose frames are rendered when they are read, in order."""
+def rendered(flight: Flight, cameras: LiveCameras) -> ChangedRecording:
+    """Return the recording of a finished flight, whose frames are rendered when they are read, in order."""
+    schedule, scenario = flight.schedule, flight.scenario
 
-    flight: Flight
-    """The finished flight, without images."""
-    cameras: LiveCameras
-    """Its cameras, before the first frame."""
+    def frame(index: int) -> CameraFrame:
+        times_ns = int(schedule.stamps_ns[index]), int(schedule.exposed_ns[index])
+        return cameras.frame(*times_ns, bool(schedule.lit[index]), flight.truth)
 
-    @property
-    def name(self) -> str:
-        """Name of the scenario."""
-        return self.flight.scenario.name
-
-    @property
-    def rig(self) -> Rig:
-        """Calibrated rig."""
-        return self.flight.scenario.rig
-
-    @property
-    def imu(self) -> ImuSamples:
-        """Measured samples."""
-        return self.flight.imu
-
-    @property
-    def frame_times_ns(self) -> Times:
-        """Time stamps of the frames [ns]."""
-        return self.flight.frame_times_ns
-
-    @property
-    def ground_truth(self) -> Trajectory:
-        """True trajectory."""
-        return self.flight.truth
-
-    def frame(self, index: int) -> CameraFrame:
-        """Render a frame, which has to be the one after the last."""
-        schedule = self.flight.schedule
-        exposed_ns = int(schedule.exposed_ns[index])
-        return self.cameras.frame(
-            int(schedule.stamps_ns[index]), exposed_ns, bool(schedule.lit[index]), self.flight.truth
-        )
+    return ChangedRecording(scenario.name, scenario.rig, flight.imu, flight.frame_times_ns, frame, flight.truth)
 
 
 def flown(name: str, seed: int, way: Way) -> FlightResult:
@@ -152,8 +115,7 @@ def _on_truth(scenario: Scenario) -> tuple[Flight, Trajectory]:
     """Return a flight on the true state, and the estimate of its recording."""
     flight = fly(scenario)
     with closing(_cameras(scenario)) as cameras:
-        recording = RenderedFlight(flight, cameras)
-        return flight, estimate_recording(recording, VisualInertialOdometry(scenario.rig)).trajectory
+        return flight, odometry(rendered(flight, cameras)).trajectory
 
 
 def _on_estimate(scenario: Scenario) -> tuple[Flight, Trajectory]:
@@ -164,7 +126,7 @@ def _on_estimate(scenario: Scenario) -> tuple[Flight, Trajectory]:
     return flight, estimator.run.trajectory
 
 
-def rows_of(results: list[FlightResult], scenarios: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+def rows_of(results: list[FlightResult], scenarios: tuple[str, ...]) -> Iterator[dict[str, str]]:
     """Yield the rows of the table: one for each scenario and way."""
     for scenario, way in product(scenarios, WAYS):
         found = [r for r in results if r.scenario == scenario and r.way == way]
@@ -175,18 +137,18 @@ def rows_of(results: list[FlightResult], scenarios: tuple[str, ...]) -> Iterator
         pairs = [(r.ate_m, on_truth[r.seed].ate_m) for r in found if r.seed in on_truth]
         ratio = fmean(a or np.inf for a, _ in pairs) / fmean(b or np.inf for _, b in pairs) if pairs else np.nan
         excess_m = max(r.reference_max_m - ate for r, ate in zip(found, ates_m, strict=True))
-        yield (
-            scenario,
-            way,
-            str(len(found)),
-            str(sum(r.collision is not None for r in found)),
-            f"{fmean(ates_m):.4f}",
-            f"{max(ates_m):.4f}",
-            f"{ratio:.2f}",
-            f"{fmean(r.reference_rmse_m for r in found):.3f}",
-            f"{max(r.reference_max_m for r in found):.3f}",
-            f"{excess_m:.3f}",
-        )
+        yield {
+            "scenario": scenario,
+            "flown on": way,
+            "flights": str(len(found)),
+            "collisions": str(sum(r.collision is not None for r in found)),
+            "ATE, mean [m]": f"{fmean(ates_m):.4f}",
+            "ATE, worst [m]": f"{max(ates_m):.4f}",
+            "ratio to truth": f"{ratio:.2f}",
+            "from reference, r.m.s. [m]": f"{fmean(r.reference_rmse_m for r in found):.3f}",
+            "largest [m]": f"{max(r.reference_max_m for r in found):.3f}",
+            "largest minus ATE [m]": f"{excess_m:.3f}",
+        }
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -194,35 +156,13 @@ def main(arguments: list[str] | None = None) -> int:
     command = tyro.cli(ClosedLoopAccuracyCommand, args=arguments)
     command.work.mkdir(parents=True, exist_ok=True)
     file = command.work / "flights.jsonl"
-    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-    results = [FlightResult(**json.loads(line)) for line in lines]
-    done = {(r.scenario, r.seed, r.way) for r in results}
+    kept = kept_results(file, FlightResult)
+    done = {(r.scenario, r.seed, r.way) for r in kept}
     wanted = [(name, seed, way) for seed in range(command.seeds) for name in command.scenarios for way in command.ways]
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(command.workers, spawn, max_tasks_per_child=1) as pool:
-        futures = [pool.submit(flown, *flight) for flight in wanted if flight not in done]
-        for number, future in enumerate(as_completed(futures), 1):
-            results.append(future.result())
-            with file.open("a", encoding="utf-8") as lines_file:
-                lines_file.write(json.dumps(asdict(results[-1])) + "\n")
-            print(f"{number} of {len(futures)}: {results[-1]}", flush=True)
+    missing = [flight for flight in wanted if flight not in done]
+    results = computed(file, kept, flown, missing, command.workers)
     chosen = [r for r in results if (r.scenario, r.seed, r.way) in set(wanted)]
-    print_table(
-        "Flights on the truth and on the estimate",
-        (
-            "scenario",
-            "flown on",
-            "flights",
-            "collisions",
-            "ATE, mean [m]",
-            "ATE, worst [m]",
-            "ratio to truth",
-            "from reference, r.m.s. [m]",
-            "largest [m]",
-            "largest minus ATE [m]",
-        ),
-        list(rows_of(chosen, command.scenarios)),
-    )
+    print_rows("Flights on the truth and on the estimate", list(rows_of(chosen, command.scenarios)))
     return int(any(r.collision is not None for r in chosen))
 
 

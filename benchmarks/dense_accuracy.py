@@ -15,7 +15,6 @@ fusion are the same as ours::
     .venv/bin/python benchmarks/dense_accuracy.py --work build/dense --scenarios room-v0 --seed 7 --programs dronevio
 """
 
-import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,10 +24,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import tyro
+from measuring import Stopwatch, opened, print_rows
 from sfm_accuracy import SCENARIOS, moving_frames, true_positions
 
 from dronevio.cli import main as dronevio
-from dronevio.cli.terminal import print_table
 from dronevio.estimator.dense.config import DenseConfig
 from dronevio.estimator.dense.consistency import PosedDepth
 from dronevio.estimator.dense.fusion import fuse
@@ -43,7 +42,6 @@ from dronevio.models.image_sets import ImageSet, image_recording
 from dronevio.models.protocols import Recording
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.reconstructions import read_reconstruction, write_reconstruction
-from dronevio.models.recordings.open import open_recording
 from dronevio.models.rotation import matrix_from_quat_wxyz
 from dronevio.models.surfaces import Mesh
 
@@ -265,17 +263,6 @@ def baseline(images: ImageSet, reconstruction: Reconstruction, command: DenseAcc
     return fuse(((d, load(i).colours) for i, d in enumerate(found)), config.spacing_px * pixel_size(found)).points
 
 
-class Stopwatch:
-    """Elapsed time and processor time since it was made."""
-
-    def __init__(self) -> None:
-        self._start = time.perf_counter(), time.process_time()
-
-    def read(self) -> tuple[float, float]:
-        """Return the elapsed time and the processor time [s]."""
-        return time.perf_counter() - self._start[0], time.process_time() - self._start[1]
-
-
 def reconstructed(
     work: Path, scenario: str, seed: int | None, count: int
 ) -> tuple[Path, Recording, Indices, ImageSet, Reconstruction]:
@@ -296,7 +283,7 @@ def reconstructed(
     if not flight.exists():
         seeds = [] if seed is None else ["--seed", str(seed)]
         dronevio(["fly", "--scenario", scenario, *seeds, "--truth-images", "depth", "--out", str(flight)])
-    recording = open_recording(flight)
+    recording, truth = opened(flight)
     frames = moving_frames(recording, count)
     images = image_recording(recording, frames=frames.tolist())
     model = work / f"{name}-{count}"
@@ -304,8 +291,7 @@ def reconstructed(
         write_reconstruction(reconstruct(images).reconstructions[0], model, "colmap-binary")
     reconstruction = read_reconstruction(model)
     rows = [images.names.index(image) for image in reconstruction.image_names]
-    assert recording.ground_truth is not None
-    true_m, _ = true_positions(recording.ground_truth, images)
+    true_m, _ = true_positions(truth, images)
     found = umeyama(true_m[rows], reconstruction.positions, with_scale=True)
     in_truth = reconstruction.transformed(found.scale, found.R_truth_estimate, found.t_m)
     return flight, recording, frames[rows], images, in_truth
@@ -319,28 +305,30 @@ def measure_world(scenario: str, command: DenseAccuracyCommand) -> Iterator[Outc
     if "dronevio" in command.programs:
         stopwatch = Stopwatch()
         result = densify(images, reconstruction, command.dense)
-        cost = stopwatch.read()
+        cost = stopwatch.lap()
         sampled = sample_mesh(result.mesh, reconstruction)
         for name, points in (("points", result.cloud.points), ("mesh", sampled)):
             yield Outcome(f"dronevio, {name}", len(points), *cost, score(true, points, reconstruction))
     if "sgbm" in command.programs:
         stopwatch = Stopwatch()
         points = baseline(images, reconstruction, command)
-        cost = stopwatch.read()
+        cost = stopwatch.lap()
         yield Outcome("StereoSGBM, points", len(points), *cost, score(true, points, reconstruction))
 
 
 def measure(command: DenseAccuracyCommand) -> None:
     """Fly, reconstruct and print the table whenever a row is complete."""
-    rows = []
-    columns = [f"{name} {1e2 * d:.0f} cm" for d in DISTANCES_M for name in ("accuracy", "completeness", "F")]
-    heading = ("scenario", "program", *columns, "points", "processor [s]", "elapsed [s]")
+    rows: list[dict[str, str]] = []
     for scenario in command.scenarios:
         for outcome in measure_world(scenario, command):
-            scores = [v for s in outcome.scores for v in (s.accuracy, s.completeness, s.f_score)]
-            cost = [f"{outcome.points}", f"{outcome.processor_s:.0f}", f"{outcome.time_s:.0f}"]
-            rows.append([scenario, outcome.program, *(f"{value:.3f}" for value in scores), *cost])
-            print_table("Dense reconstruction", heading, rows, left=("scenario", "program"))
+            row = {"scenario": scenario, "program": outcome.program}
+            for d, s in zip(DISTANCES_M, outcome.scores, strict=True):
+                values = {"accuracy": s.accuracy, "completeness": s.completeness, "F": s.f_score}
+                row |= {f"{name} {1e2 * d:.0f} cm": f"{value:.3f}" for name, value in values.items()}
+            row["points"] = f"{outcome.points}"
+            row |= {"processor [s]": f"{outcome.processor_s:.0f}", "elapsed [s]": f"{outcome.time_s:.0f}"}
+            rows.append(row)
+            print_rows("Dense reconstruction", rows, left=("program",))
 
 
 if __name__ == "__main__":

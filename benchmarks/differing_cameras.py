@@ -10,7 +10,6 @@ both cameras at half size::
 """
 
 import sys
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,20 +18,18 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import tyro
+from measuring import ChangedRecording, frames_of, odometry, print_rows, with_truth
 
-from dronevio.cli.terminal import print_table
-from dronevio.estimator.odometry import VisualInertialOdometry
-from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.run import EstimatorRun
 from dronevio.evaluation import ate
-from dronevio.models.imu import ImuSamples, Times
+from dronevio.models.imu import Times
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.calibration.kalibr import camchain_yaml, imu_yaml
 from dronevio.models.recordings.calibration.reading import read_calibrated_rig
 from dronevio.models.recordings.euroc import EurocRecording, read_imu, write_euroc
 from dronevio.models.recordings.trajectory_file import read_trajectory_file
-from dronevio.models.rig import Rig, RigCamera
-from dronevio.models.state import CameraFrame, Health, Trajectory
+from dronevio.models.rig import RigCamera
+from dronevio.models.state import CameraFrame, Health
 from dronevio.recording.recorder import rig_of
 from dronevio.sim.cameras.schedule import FrameSchedule
 from dronevio.sim.refly import FlownPath, cut, refly
@@ -103,42 +100,6 @@ def joined(folder: Path, flown: FlownPath, cameras: tuple[Path, Path], stamps: t
     return folder
 
 
-@dataclass(frozen=True, eq=False)
-class ChangedRecording:
-    """A recording whose calibration and frames are replaced; satisfies the `Recording` protocol."""
-
-    source: Recording
-    """The recording that is changed."""
-    rig: Rig
-    """Calibration that the estimator is given."""
-    change: Callable[[CameraFrame], CameraFrame]
-    """Function that returns a changed frame."""
-
-    @property
-    def name(self) -> str:
-        """Name of the source."""
-        return self.source.name
-
-    @property
-    def imu(self) -> ImuSamples:
-        """IMU samples of the source."""
-        return self.source.imu
-
-    @property
-    def frame_times_ns(self) -> Times:
-        """(M,) Time stamps of the frames [ns]."""
-        return self.source.frame_times_ns
-
-    @property
-    def ground_truth(self) -> Trajectory | None:
-        """Ground truth of the source."""
-        return self.source.ground_truth
-
-    def frame(self, index: int) -> CameraFrame:
-        """Return the frame with a given index, 0 ≤ index < M."""
-        return self.change(self.source.frame(index))
-
-
 def halved(source: Recording, number: int) -> ChangedRecording:
     """Return a recording in which the images of a camera have half of the width and height."""
 
@@ -176,7 +137,11 @@ def with_camera(
         images = tuple(image(each) if i == number and each.size else each for i, each in enumerate(frame.images))
         return replace(frame, images=images)
 
-    return ChangedRecording(source, replace(source.rig, cameras=cameras), frame)
+    return replace(
+        ChangedRecording.of(source),
+        rig=replace(source.rig, cameras=cameras),
+        image_of=lambda index: frame(source.frame(index)),
+    )
 
 
 def same_stamps(source: Recording, shift_s: float, folder: Path) -> ChangedRecording:
@@ -186,17 +151,28 @@ def same_stamps(source: Recording, shift_s: float, folder: Path) -> ChangedRecor
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "camchain.yaml").write_text(camchain_yaml(rig), encoding="utf-8")
     (folder / "imu.yaml").write_text(imu_yaml(rig), encoding="utf-8")
-    return ChangedRecording(source, read_calibrated_rig(folder), lambda frame: replace(frame, image_delays_ns=()))
+    return replace(
+        ChangedRecording.of(source),
+        rig=read_calibrated_rig(folder),
+        image_of=lambda index: replace(source.frame(index), image_delays_ns=()),
+    )
 
 
-def row_of(name: str, run: EstimatorRun, error_m: float, paired_m: float | None) -> tuple[str, ...]:
+def row_of(name: str, run: EstimatorRun, error_m: float, paired_m: float | None) -> dict[str, str]:
     """Return the row of a recording: frames, poses, share that is tracking, error, and its ratio to the paired one."""
-    counts = Counter(estimate.health for estimate in run.estimates)
     poses = len(run.trajectory)
-    share = counts[Health.TRACKING] / max(poses, 1)
+    share = frames_of(run, Health.TRACKING) / max(poses, 1)
     ratio = error_m / paired_m if paired_m else 1.0
     met = "" if not paired_m or name == BOTH_HALVED else "yes" if ratio <= MAX_RATIO and share >= MIN_TRACKING else "no"
-    return (name, str(len(run.estimates)), str(poses), f"{share:.3f}", f"{1e3 * error_m:.2f}", f"{ratio:.2f}", met)
+    return {
+        "recording": name,
+        "frames": str(len(run.estimates)),
+        "poses": str(poses),
+        "tracking": f"{share:.3f}",
+        "ATE [mm]": f"{1e3 * error_m:.2f}",
+        "ratio": f"{ratio:.2f}",
+        "met": met,
+    }
 
 
 def recordings(command: DifferingCamerasCommand, seed: int) -> dict[str, Recording]:
@@ -236,20 +212,17 @@ def recordings(command: DifferingCamerasCommand, seed: int) -> dict[str, Recordi
 
 def main(command: DifferingCamerasCommand) -> int:
     """Estimate all recordings and print the tables; return 1 if a bound is not met."""
-    titles = ("recording", "frames", "poses", "tracking", "ATE [mm]", "ratio", "met")
     missed = False
     for seed in command.seeds:
-        rows: list[tuple[str, ...]] = []
+        rows: list[dict[str, str]] = []
         error_m: dict[str, float] = {}
         for name, recording in recordings(command, seed).items():
-            run = estimate_recording(recording, VisualInertialOdometry(recording.rig))
-            truth = recording.ground_truth
-            assert truth is not None
-            error_m[name] = ate(truth, run).rmse
+            run = odometry(recording)
+            error_m[name] = ate(with_truth(recording)[1], run).rmse
             reference = BOTH_HALVED if name == FIRST_HALVED else next(iter(error_m))
             rows.append(row_of(name, run, error_m[name], error_m[reference] if reference != name else None))
-        print_table(f"{command.trajectory} in {command.world}, seed {seed}", titles, rows)
-        missed |= any(row[-1] == "no" for row in rows)
+        print_rows(f"{command.trajectory} in {command.world}, seed {seed}", rows)
+        missed |= any(row["met"] == "no" for row in rows)
     return int(missed)
 
 

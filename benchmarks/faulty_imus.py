@@ -14,7 +14,6 @@ tracking with such an error below 3 σ::
 
 import re
 import sys
-from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,17 +21,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import tyro
-from wrong_inputs import ChangedRecording, section_of
+from measuring import NO_POSE, ChangedRecording, frames_of, odometry, opened, print_rows, section_of
 
-from dronevio.cli.terminal import print_table
 from dronevio.estimator.imu.outliers import outlying_samples
-from dronevio.estimator.odometry import VisualInertialOdometry
-from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.scores import score
 from dronevio.eval.run import EstimatorRun
 from dronevio.eval.tracking import tracking_errors, tracking_sigmas
 from dronevio.models.imu import ImuSamples
-from dronevio.models.recordings.open import open_recording
 from dronevio.models.state import Health
 
 Array = npt.NDArray[np.float64]
@@ -149,69 +144,54 @@ class FaultyImusCommand:
 
 def count_outliers(samples: ImuSamples) -> int:
     """Print the outliers that are found in all samples, and return 1 for more than one among `FALSE_RATE_SAMPLES`."""
-    rows = []
-    for step, first in ((1, 0), (2, 0), (2, 1)):
-        part = samples[first::step]
-        rows.append((f"every {step}, from {first}", str(len(part)), str(int(outlying_samples(part).sum()))))
-    print_table("outliers among the samples", ("samples", "number", "outliers"), rows)
-    return int(any(int(found) * FALSE_RATE_SAMPLES > int(number) for _, number, found in rows))
+    parts = {f"every {step}, from {first}": samples[first::step] for step, first in ((1, 0), (2, 0), (2, 1))}
+    found = {name: int(outlying_samples(part).sum()) for name, part in parts.items()}
+    print_rows(
+        "outliers among the samples",
+        [{"samples": n, "number": str(len(part)), "outliers": str(found[n])} for n, part in parts.items()],
+    )
+    return int(any(found[name] * FALSE_RATE_SAMPLES > len(part) for name, part in parts.items()))
 
 
-def compared(run: EstimatorRun, clean: EstimatorRun | None) -> tuple[str, str]:
+def compared(run: EstimatorRun, clean: EstimatorRun | None) -> dict[str, str]:
     """Return the largest error of a run against that with the clean recording, and its share below 3 σ, as cells."""
     errors = None if clean is None or len(run.trajectory) < 1 else tracking_errors(run, clean.trajectory)
     if clean is None or errors is None or not len(errors):
-        return "", ""
+        return {"of clean": "", "below 3 σ": ""}
     share = np.sum(errors < CONSISTENT_SIGMAS) / len(clean.trajectory)
-    return f"{errors.max():.1f}", f"{100.0 * share:.0f} %"
+    return {"of clean": f"{errors.max():.1f}", "below 3 σ": f"{100.0 * share:.0f} %"}
 
 
 def main(command: FaultyImusCommand) -> int:
     """Estimate the recording with all faults and print the table."""
-    recording = open_recording(command.recording, command.cameras)
+    recording, truth = opened(command.recording, command.cameras)
     if command.count_outliers:
         return count_outliers(recording.imu)
-    truth = recording.ground_truth
-    if truth is None:
-        raise SystemExit(f"{command.recording}: no ground truth; expected a recording with the true motion")
     section, rows, clean_m, clean = section_of(recording, command.frames), [], None, None
     for name in command.faults:
         for seed in command.seeds if re.search("outliers|vibration", name) else command.seeds[:1]:
             changed = FAULTS[name](section, np.random.default_rng(seed))
-            run = estimate_recording(changed, VisualInertialOdometry(changed.rig))
-            counts = Counter(estimate.health for estimate in run.estimates)
+            run = odometry(changed)
             has_poses = len(run.trajectory) > 2
             ate_m = score(truth, run.trajectory, run.t_ns).ate_m.rmse if has_poses else None
             sigmas = tracking_sigmas(run, truth) if has_poses else None
             clean_m, clean = (ate_m, run) if name == "none" else (clean_m, clean)
             corrections = [t for e in run.estimates for t in e.events if t.startswith("calibration corrected")]
             rows.append(
-                (
-                    name if len(command.seeds) == 1 else f"{name}, seed {seed}",
-                    *(str(counts[health]) for health in (Health.TRACKING, Health.INERTIAL_ONLY)),
-                    str(counts[Health.INITIALIZING] + counts[Health.LOST]),
-                    "" if ate_m is None else f"{1e3 * ate_m:.1f}",
-                    "" if ate_m is None or clean_m is None else f"{ate_m / clean_m:.2f}",
-                    "" if sigmas is None else f"{sigmas:.1f}",
-                    *compared(run, clean if name != "none" else None),
-                    str(run.imu_outliers),
-                    (*(text for _, text in run.warnings), *corrections[-1:], "")[0][:60],
-                )
+                {
+                    "fault": name if len(command.seeds) == 1 else f"{name}, seed {seed}",
+                    "tracking": str(frames_of(run, Health.TRACKING)),
+                    "inertial": str(frames_of(run, Health.INERTIAL_ONLY)),
+                    "no pose": str(frames_of(run, *NO_POSE)),
+                    "ATE [mm]": "" if ate_m is None else f"{1e3 * ate_m:.1f}",
+                    "× none": "" if ate_m is None or clean_m is None else f"{ate_m / clean_m:.2f}",
+                    "max σ": "" if sigmas is None else f"{sigmas:.1f}",
+                    **compared(run, clean if name != "none" else None),
+                    "left out": str(run.imu_outliers),
+                    "said": (*(text for _, text in run.warnings), *corrections[-1:], "")[0][:60],
+                }
             )
-    titles = (
-        "fault",
-        "tracking",
-        "inertial",
-        "no pose",
-        "ATE [mm]",
-        "× none",
-        "max σ",
-        "of clean",
-        "below 3 σ",
-        "left out",
-        "said",
-    )
-    print_table(f"{recording.name}, {command.frames} frames", titles, rows)
+    print_rows(f"{recording.name}, {command.frames} frames", rows)
     return 0
 
 

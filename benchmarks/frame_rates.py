@@ -20,12 +20,11 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 import tyro
+from measuring import first_pose_s, frames_of, odometry
 from similarity import gyro_bias_of, jittered, part_of, similar
 
 from dronevio.cli.terminal import print_table
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.odometry import VisualInertialOdometry
-from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.euroc import INCOMPLETE, write_euroc
@@ -106,14 +105,11 @@ class Outcome:
 
 def outcome_of(recording: Recording) -> Outcome:
     """Estimate a recording that has ground truth."""
-    run = estimate_recording(recording, VisualInertialOdometry(recording.rig))
-    trajectory, truth = run.trajectory, recording.ground_truth
-    if truth is None or len(trajectory) < 3:
+    run, truth = odometry(recording), recording.ground_truth
+    if truth is None or len(run.trajectory) < 3:
         return Outcome(np.inf, np.inf, 0)
-    scores = score_trajectory(truth, trajectory, recording.frame_times_ns).scores
-    first_s = (int(trajectory.t_ns[0]) - int(recording.frame_times_ns[0])) * 1e-9
-    untracked = sum(each.health in (Health.INERTIAL_ONLY, Health.LOST) for each in run.estimates)
-    return Outcome(first_s, scores.ate_m.rmse, untracked)
+    scores = score_trajectory(truth, run.trajectory, recording.frame_times_ns).scores
+    return Outcome(first_pose_s(run), scores.ate_m.rmse, frames_of(run, Health.INERTIAL_ONLY, Health.LOST))
 
 
 def show_similar(command: SimilarCommand) -> int:

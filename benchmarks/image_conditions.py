@@ -15,7 +15,7 @@ whatever the images show.
 """
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,11 +25,8 @@ import numpy.typing as npt
 import tyro
 from epipolar_tracks import REFINEMENT_AGES, refined_poses, view_pairs
 from image_realism import Array, Section, Tracked, by_age, front_end_tracks, reference_tracks, rotations, section_of
-from markdown_tables import table, text
-from wrong_inputs import ChangedRecording
+from measuring import ChangedRecording, odometry, print_as_made, text
 
-from dronevio.estimator.odometry import VisualInertialOdometry
-from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.scores import score
 from dronevio.models.errors import EvaluationError
 
@@ -41,16 +38,6 @@ AGES = (1, 10, 40)
 """Ages of tracks for which the survival is printed [frames]. Residuals are printed for the second of them."""
 STEP_FRAMES, STEP_GAINS = 15, (1.0, 1.6, 0.8, 1.3)
 """Number of frames between steps of the exposure, and the factors of the light."""
-HEADINGS = (
-    "condition",
-    "features",
-    "survival of 1, 10, 40 frames [%]",
-    "median / 95 % [px]",
-    "> 1 px [%]",
-    "stereo matches [%]",
-    "ATE, one camera [mm]",
-    "ATE, two cameras [mm]",
-)
 
 
 def scaled(image: Image, factor: float | npt.NDArray[np.float32]) -> Image:
@@ -159,7 +146,7 @@ def ate_mm(section: Section, cameras: int) -> float:
     rig = replace(recording.rig, cameras=recording.rig.cameras[:cameras])
     frames = [replace(frame, images=frame.images[:cameras]) for frame in section.frames]
     images = ChangedRecording(recording.name, rig, recording.imu[first:last], t_ns, frames.__getitem__)
-    run = estimate_recording(images, VisualInertialOdometry(rig))
+    run = odometry(images)
     assert recording.ground_truth is not None
     try:
         return 1e3 * float(score(recording.ground_truth, run.trajectory, t_ns).ate_m.rmse)
@@ -183,21 +170,31 @@ def true_poses(section: Section, tracked: Tracked, every: int, refine: bool) -> 
     return refined_poses(poses, pairs[0].joined(pairs[1]), focal_px)[0]
 
 
-def row_of(name: str, section: Section, tracked: Tracked, poses: Array) -> tuple[str, ...]:
+def row_of(name: str, section: Section, tracked: Tracked, poses: Array) -> dict[str, str]:
     """Return the row of a condition."""
     ages = by_age(tracked.table, poses, poses, section.recording.rig.cameras[0].model.fx, AGES)
     at, cameras = ages[1], len(section.recording.rig.cameras)
-    matched = 100.0 * len(tracked.stereo_first) / tracked.detected if tracked.detected else float("nan")
-    return (
-        name,
-        f"{tracked.table.features_per_frame:.0f}",
-        ", ".join(f"{age.survival_percent:.0f}" for age in ages),
-        f"{text(at.median_px)} / {text(at.p95_px, '.2f')}",
-        text(at.over_1_percent, ".1f"),
-        text(matched, ".0f"),
-        text(ate_mm(section, 1), ".1f"),
-        text(ate_mm(section, 2), ".1f") if cameras > 1 else "–",
-    )
+    matched = 100.0 * len(tracked.stereo_first) / tracked.detected if tracked.detected else None
+    return {
+        "condition": name,
+        "features": f"{tracked.table.features_per_frame:.0f}",
+        "survival of 1, 10, 40 frames [%]": ", ".join(f"{age.survival_percent:.0f}" for age in ages),
+        "median / 95 % [px]": f"{text(at.median_px)} / {text(at.p95_px, '.2f')}",
+        "> 1 px [%]": text(at.over_1_percent, ".1f"),
+        "stereo matches [%]": text(matched, ".0f"),
+        "ATE, one camera [mm]": text(ate_mm(section, 1), ".1f"),
+        "ATE, two cameras [mm]": text(ate_mm(section, 2), ".1f") if cameras > 1 else "–",
+    }
+
+
+def rows_of(section: Section, command: ConditionsCommand) -> Iterator[dict[str, str]]:
+    """Yield the rows of all conditions."""
+    Rs_cur_prev, _ = rotations(section)
+    tracked = front_end_tracks(section, Rs_cur_prev, command.every)
+    poses = true_poses(section, tracked, command.every, command.refine_poses)
+    for name in command.conditions:
+        images = changed(section, CONDITIONS[name])
+        yield row_of(name, images, front_end_tracks(images, Rs_cur_prev, command.every), poses)
 
 
 def main(command: ConditionsCommand) -> int:
@@ -205,16 +202,9 @@ def main(command: ConditionsCommand) -> int:
     cv2.setNumThreads(1)
     for folder in command.recordings:
         section = section_of(folder, 0, command.frames)
-        Rs_cur_prev, _ = rotations(section)
-        tracked = front_end_tracks(section, Rs_cur_prev, command.every)
-        poses = true_poses(section, tracked, command.every, command.refine_poses)
-        rows = []
-        for name in command.conditions:
-            images = changed(section, CONDITIONS[name])
-            rows.append(row_of(name, images, front_end_tracks(images, Rs_cur_prev, command.every), poses))
-            print(rows[-1], file=sys.stderr, flush=True)
         print(f"{section.recording.name}, {len(section.frames)} frames; residuals at an age of {AGES[1]} frames.\n")
-        print(table(HEADINGS, rows), end="\n\n")
+        print_as_made(rows_of(section, command))
+        print()
     return 0
 
 

@@ -35,7 +35,7 @@ from epipolar_tracks import (
     view_pairs,
 )
 from image_properties import LEVELS, ImageProperties, image_properties
-from markdown_tables import table, text
+from measuring import table, text
 
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.frontend.tracker import TrackerConfig

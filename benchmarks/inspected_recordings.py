@@ -16,11 +16,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import tyro
+from measuring import ChangedRecording, print_rows, section_of
 from rosbags.rosbag2 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
-from wrong_inputs import FAULTS, Change, ChangedRecording, of_images, of_order, section_of
+from wrong_inputs import FAULTS, Change, of_images, of_order
 
-from dronevio.cli.terminal import print_table
 from dronevio.inspection.inspection import inspect
 from dronevio.inspection.model import Finding, Inspection, Verdict
 from dronevio.models.imu import ImuSamples
@@ -203,15 +203,20 @@ def label(finding: Finding) -> str:
     return f"{finding.topic} {finding.name}" if finding.name in ("rate", "jitter", "gaps") else finding.name
 
 
-def row_of(name: str, expected: Sequence[str], found: Inspection) -> tuple[str, ...]:
+def raised_in(found: Inspection) -> list[Finding]:
+    """Return the rows that are not good."""
+    return [finding for finding in found.findings if finding.verdict in (Verdict.SUSPECT, Verdict.WRONG)]
+
+
+def row_of(name: str, expected: Sequence[str], found: Inspection) -> dict[str, str]:
     """Return the row of an alteration: whether it is named, and by which rows."""
-    raised = [finding for finding in found.findings if finding.verdict in (Verdict.SUSPECT, Verdict.WRONG)]
+    raised = raised_in(found)
     # A bit depth is named, and is no defect, since the reader scales the images.
     naming = [f for f in found.findings if label(f) in expected and (f in raised or f.name == "bit depth")]
     print(f"{name}: {'named' if naming else 'not named'}", file=sys.stderr, flush=True)
     rest = ", ".join(f"{label(f)} ({f.verdict})" for f in raised if f not in naming)
     said = f"{label(naming[0])} ({naming[0].verdict}): {naming[0].found}" if naming else "–"
-    return name, "yes" if naming else "no", rest or "–", said
+    return {"alteration": name, "named": "yes" if naming else "no", "further rows": rest or "–", "said": said}
 
 
 @dataclass(frozen=True)
@@ -247,20 +252,24 @@ def main(command: InspectedCommand) -> int:
         with tempfile.TemporaryDirectory() as folder:
             bag = unset_stamps(command.recording, Path(folder))
             rows.append(row_of("unset-stamps", ("unset time stamp",), inspect(bag)))
-    titles = ("alteration", "named", "further rows", "said")
-    named = sum(row[1] == "yes" for row in rows)
-    print_table(f"{recording.name}: {named} of {len(rows)} named", titles, rows, left=titles)
+    named = sum(row["named"] == "yes" for row in rows)
+    print_rows(f"{recording.name}: {named} of {len(rows)} named", rows, left=("named", "further rows", "said"))
     sound = []
     for path in command.sound:
         found = inspect(path)
-        raised = [
-            f"{f.topic} {f.name}: {f.found}" for f in found.findings if f.verdict in (Verdict.SUSPECT, Verdict.WRONG)
-        ]
+        raised = [f"{f.topic} {f.name}: {f.found}" for f in raised_in(found)]
         unknown = sum(f.verdict is Verdict.UNKNOWN for f in found.findings)
-        sound.append((found.name, str(len(found.findings)), str(unknown), str(len(raised)), "; ".join(raised) or "–"))
-    if sound:
-        print_table("Sound recordings", ("recording", "rows", "not checked", "raised", "which"), sound, left=("which",))
-    return int(named < 0.9 * len(rows) or any(row[3] != "0" for row in sound))
+        sound.append(
+            {
+                "recording": found.name,
+                "rows": str(len(found.findings)),
+                "not checked": str(unknown),
+                "raised": str(len(raised)),
+                "which": "; ".join(raised) or "–",
+            }
+        )
+    print_rows("Sound recordings", sound, left=("which",))
+    return int(named < 0.9 * len(rows) or any(row["raised"] != "0" for row in sound))
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ the estimator reports that it tracks while they are not. Rows depend on the seed
     .venv/bin/python benchmarks/kidnappings.py recordings/room-laps recordings/hall-laps --count 100 --cameras 2
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -22,7 +22,7 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 import tyro
-from markdown_tables import table, text
+from measuring import print_as_made, text
 
 from dronevio.benchmark.true_views import recording_views
 from dronevio.estimator.slam.visual_slam import VisualSlam
@@ -257,25 +257,36 @@ def _errors(T_true: Array, T: Array) -> tuple[float, float]:
     return float(np.linalg.norm(D[:3, 3])), float(np.linalg.norm(log_so3(D[:3, :3])))
 
 
-def cells(number: int, names: tuple[str, str], splice: Splice, outcome: Outcome) -> tuple[str, ...]:
+def row_of(number: int, names: tuple[str, str], splice: Splice, outcome: Outcome) -> dict[str, str]:
     """Return the row of a kidnapping."""
     joined, start = outcome.joined_s, outcome.start_s
     since_start = None if joined is None or start is None else joined - start
-    return (
-        f"{number}: `{names[0]}`" + ("" if names[0] == names[1] else f" + `{names[1]}`"),
-        f"{splice.end_s:.1f}, {splice.start_s:.1f}",
-        text(start, ".2f"),
-        text(joined, ".2f"),
-        text(since_start, ".2f"),
-        text(None if outcome.error_m is None else 1e3 * outcome.error_m, ".0f"),
-        text(None if outcome.error_rad is None else float(np.degrees(outcome.error_rad)), ".2f"),
-        "wrong" if outcome.wrong else "in time" if outcome.in_time else "late" if joined is not None else "not joined",
-    )
+    return {
+        "kidnapping": f"{number}: `{names[0]}`" + ("" if names[0] == names[1] else f" + `{names[1]}`"),
+        "from, to [s]": f"{splice.end_s:.1f}, {splice.start_s:.1f}",
+        "new start [s]": text(start, ".2f"),
+        "joined [s]": text(joined, ".2f"),
+        "since new start [s]": text(since_start, ".2f"),
+        "error [mm]": text(None if outcome.error_m is None else 1e3 * outcome.error_m, ".0f"),
+        "error [°]": text(None if outcome.error_rad is None else float(np.degrees(outcome.error_rad)), ".2f"),
+        "": "wrong" if outcome.wrong else "in time" if outcome.in_time else "not joined" if joined is None else "late",
+    }
 
 
-HEADINGS = (
-    "kidnapping", "from, to [s]", "new start [s]", "joined [s]", "since new start [s]", "error [mm]", "error [°]", "",
-)  # fmt: skip
+def chosen_splice(
+    views: Mapping[Path, Views], pairs: Sequence[tuple[Path, Path]], rng: np.random.Generator
+) -> tuple[Path, Path, Splice]:
+    """Return two flights and a random splice of them.
+
+    Raises:
+        ConfigError: There is no possible splice.
+    """
+    for index in rng.permutation(len(pairs)):
+        first, second = pairs[int(index)]
+        splice = possible_splices(views[first], None if first == second else views[second], rng)
+        if splice is not None:
+            return first, second, splice
+    raise ConfigError("no flight revisits a place in the air late enough; expected flights that come back")
 
 
 def main(command: KidnappingsCommand) -> None:
@@ -286,23 +297,16 @@ def main(command: KidnappingsCommand) -> None:
     """
     views = {folder: sampled_views(folder) for folder in command.recordings}
     pairs = [(a, b) for a, b in product(views, views) if world_of(a) == world_of(b)]
-    print(table(HEADINGS, []), flush=True)
-    outcomes = []
-    for number in range(command.first, command.first + command.count):
-        rng = np.random.default_rng([command.seed, number])
-        chosen = None
-        for index in rng.permutation(len(pairs)):
-            first, second = pairs[int(index)]
-            splice = possible_splices(views[first], None if first == second else views[second], rng)
-            if splice is not None:
-                chosen = first, second, splice
-                break
-        if chosen is None:
-            raise ConfigError("no flight revisits a place in the air late enough; expected flights that come back")
-        first, second, splice = chosen
-        outcomes.append(kidnap(first, second, splice, command.cameras, views[second]))
-        print(f"| {' | '.join(cells(number, (first.name, second.name), splice, outcomes[-1]))} |", flush=True)
-    in_time, wrong = (sum(values) for values in ([o.in_time for o in outcomes], [o.wrong for o in outcomes]))
+    outcomes: list[Outcome] = []
+
+    def rows() -> Iterator[dict[str, str]]:
+        for number in range(command.first, command.first + command.count):
+            first, second, splice = chosen_splice(views, pairs, np.random.default_rng([command.seed, number]))
+            outcomes.append(kidnap(first, second, splice, command.cameras, views[second]))
+            yield row_of(number, (first.name, second.name), splice, outcomes[-1])
+
+    print_as_made(rows())
+    in_time, wrong = sum(each.in_time for each in outcomes), sum(each.wrong for each in outcomes)
     print(f"\n{in_time} of {len(outcomes)} joined in time, {wrong} wrong")
 
 

@@ -13,15 +13,15 @@ should do nothing else::
 import statistics
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import tyro
-from markdown_tables import table
+from measuring import odometry, print_as_made
 
-from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.estimator.slam.worker.map_builder import MapCost
 from dronevio.estimators.driver import estimate_recording
@@ -91,42 +91,32 @@ class Pace:
 
 def turn_of(recording: Recording) -> Turn:
     """Return a turn: a run of the odometry and one of visual SLAM."""
-    odometry = estimate_recording(recording, VisualInertialOdometry(recording.rig))
-    slam = VisualSlam(recording.rig)
-    run = estimate_recording(recording, slam)
-    cost = slam.map_cost
-    slam.close()
-    return Turn(odometry, run, cost)
+    alone = odometry(recording)
+    with closing(VisualSlam(recording.rig)) as slam:
+        return Turn(alone, estimate_recording(recording, slam), slam.map_cost)
 
 
 def paced_cost(recording: Recording) -> MapCost:
     """Return the cost of the map with frames at their times."""
-    slam = VisualSlam(recording.rig)
-    estimate_recording(recording, slam, observers=(Pace(recording.frame_times_ns),))
-    cost = slam.map_cost
-    slam.close()
-    return cost
+    with closing(VisualSlam(recording.rig)) as slam:
+        estimate_recording(recording, slam, observers=(Pace(recording.frame_times_ns),))
+        return slam.map_cost
 
 
-HEADINGS = (
-    "cameras", "odometry [ms]", "added, mean [ms]", "added, 99 % [ms]", "worker [ms]", "answers", "late, at full speed",
-    "late, in flight",
-)  # fmt: skip
-
-
-def cells(cameras: int, turns: Sequence[Turn], paced: MapCost) -> Sequence[str]:
+def row_of(cameras: int, turns: Sequence[Turn], paced: MapCost) -> dict[str, str]:
     """Return the row of a number of cameras."""
     speed = statistics.median(float(np.ptp(turn.slam.t_ns)) * 1e-6 / turn.slam.wall_ms.sum() for turn in turns)
-    return (
-        str(cameras),
-        f"{statistics.median(turn.odometry.cpu_ms.mean() for turn in turns):.1f}",
-        _spread([turn.mean_ms for turn in turns]),
-        _spread([turn.p99_ms for turn in turns]),
-        f"{statistics.median(turn.map.worker_cpu_ms_per_frame for turn in turns):.1f}",
-        str(paced.results),
-        f"{round(statistics.median(turn.map.waits for turn in turns))}, at {speed:.1f} times the rate",
-        str(paced.waits),
-    )
+    late = round(statistics.median(turn.map.waits for turn in turns))
+    return {
+        "cameras": str(cameras),
+        "odometry [ms]": f"{statistics.median(turn.odometry.cpu_ms.mean() for turn in turns):.1f}",
+        "added, mean [ms]": _spread([turn.mean_ms for turn in turns]),
+        "added, 99 % [ms]": _spread([turn.p99_ms for turn in turns]),
+        "worker [ms]": f"{statistics.median(turn.map.worker_cpu_ms_per_frame for turn in turns):.1f}",
+        "answers": str(paced.results),
+        "late, at full speed": f"{late}, at {speed:.1f} times the rate",
+        "late, in flight": str(paced.waits),
+    }
 
 
 def _spread(values: Sequence[float]) -> str:
@@ -140,11 +130,11 @@ def main(command: MapCostCommand) -> None:
     Raises:
         InputError: The recording cannot be read.
     """
-    print(table(HEADINGS, []), flush=True)
-    for cameras in command.cameras:
-        recording = open_recording(command.recording, cameras)
-        turns = [turn_of(recording) for _ in range(command.turns)]
-        print(f"| {' | '.join(cells(cameras, turns, paced_cost(recording)))} |", flush=True)
+    recordings = ((cameras, open_recording(command.recording, cameras)) for cameras in command.cameras)
+    print_as_made(
+        row_of(cameras, [turn_of(recording) for _ in range(command.turns)], paced_cost(recording))
+        for cameras, recording in recordings
+    )
 
 
 if __name__ == "__main__":

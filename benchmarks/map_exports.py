@@ -11,6 +11,7 @@ those of the file. The model of COLMAP is read and projected by pycolmap::
 
 import tempfile
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -19,16 +20,14 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 import tyro
-from markdown_tables import table, text
+from measuring import opened, print_as_made, text
 
 from dronevio.api import estimate
 from dronevio.estimator.slam.map.odometry_factors import RelativePose
 from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.errors import ate
-from dronevio.models.errors import ConfigError
 from dronevio.models.protocols import Recording
-from dronevio.models.recordings.open import open_recording
 from dronevio.models.rotation import inverse_pose, matrix_from_quat_wxyz, pose_matrix
 from dronevio.models.state import Trajectory
 
@@ -109,89 +108,58 @@ def true_poses(slam: VisualSlam, recording: Recording, truth: Trajectory) -> dic
     return {keyframes[row].number: T for row, T in zip(np.arange(len(keyframes))[rows].tolist(), Ts, strict=True)}
 
 
-HEADINGS = (
-    "flight",
-    "cameras",
-    "edges",
-    "½χ² written",
-    "½χ² by GTSAM",
-    "½χ² an edge",
-    "poses: final, file [mm]",
-    "loops",
-    "NEES measured",
-    "NEES in the file",
-    "rotation, position",
-    "error [mm]: measured, in the file",
-    "odometry: NEES",
-    "points",
-    "reprojection, median [px]",
-)
-
-
-def cells(recording: Recording, cameras: int, folder: Path) -> Sequence[str]:
-    """Estimate a recording and return its row.
-
-    Args:
-        recording: The recording.
-        cameras: Number of its cameras.
-        folder: Folder for the files.
+def row_of(path: Path, cameras: int) -> dict[str, str]:
+    """Estimate a recording with a number of cameras, and return its row.
 
     Raises:
-        ConfigError: The recording has no ground truth.
+        InputError: The recording cannot be read.
     """
-    if recording.ground_truth is None:
-        raise ConfigError(f"{recording.name} has no ground truth; expected a recording with it")
-    slam = VisualSlam(recording.rig)
-    estimate(recording, slam)
-    Ts_true, graph, solution = true_poses(slam, recording, recording.ground_truth), slam.final_graph(), slam.final_map()
-    before = slam.mapper.final_solution()
-    assert before is not None and solution is not None  # final_graph refuses a map without keyframes
-    slam.save_graph(folder / "map.g2o")
-    slam.save_colmap(folder / "colmap", recording)
-    structure = slam.reconstruction().reconstruction
-    slam.close()
-    edges, written, found = optimized_by_gtsam(folder / "map.g2o")
+    recording, truth = opened(path, cameras)
+    with closing(VisualSlam(recording.rig)) as slam, tempfile.TemporaryDirectory() as scratch:
+        estimate(recording, slam)
+        folder, Ts_true = Path(scratch), true_poses(slam, recording, truth)
+        graph, solution, before = slam.final_graph(), slam.final_map(), slam.mapper.final_solution()
+        assert before is not None and solution is not None  # final_graph refuses a map without keyframes
+        slam.save_graph(folder / "map.g2o")
+        slam.save_colmap(folder / "colmap", recording)
+        structure = slam.reconstruction().reconstruction
+        edges, written, found = optimized_by_gtsam(folder / "map.g2o")
+        errors_px = errors_by_colmap(folder / "colmap" / "sparse" / "0")
     measured, loops = (consistency(g.loops, Ts_true) for g in (before.without_rejected, graph))
     odometry = consistency(graph.odometry, Ts_true)
     assert odometry is not None
     numbers = sorted(graph.poses)
     p_true = np.stack([Ts_true[number][:3, 3] for number in numbers])
-    errors_mm = [
-        1e3 * ate(p_true, p).rmse
-        for p in (solution.Ts_map_imu[:, :3, 3], np.stack([graph.poses[number][:3, 3] for number in numbers]))
-    ]
-    return (
-        f"`{recording.name}`",
-        str(cameras),
-        str(edges),
-        f"{written:.1f}",
-        f"{found:.1f}",
-        f"{written / edges:.2f}",
-        f"{errors_mm[0]:.2f}, {errors_mm[1]:.2f}",
-        str(len(graph.loops)),
-        text(None if measured is None else measured.nees, ".1f"),
-        text(None if loops is None else loops.nees, ".1f"),
-        "–" if loops is None else f"{loops.rotation_nees:.1f}, {loops.position_nees:.1f}",
-        "–" if loops is None or measured is None else f"{measured.position_mm:.1f}, {loops.position_mm:.1f}",
-        f"{odometry.nees:.1f}",
-        str(len(structure.points)),
-        f"{np.median(errors_by_colmap(folder / 'colmap' / 'sparse' / '0')):.3f}",
-    )
+    in_file = np.stack([graph.poses[number][:3, 3] for number in numbers])
+    errors_mm = [1e3 * ate(p_true, p).rmse for p in (solution.Ts_map_imu[:, :3, 3], in_file)]
+    return {
+        "flight": f"`{recording.name}`",
+        "cameras": str(cameras),
+        "edges": str(edges),
+        "½χ² written": f"{written:.1f}",
+        "½χ² by GTSAM": f"{found:.1f}",
+        "½χ² an edge": f"{written / edges:.2f}",
+        "poses: final, file [mm]": f"{errors_mm[0]:.2f}, {errors_mm[1]:.2f}",
+        "loops": str(len(graph.loops)),
+        "NEES measured": text(measured.nees if measured else None, ".1f"),
+        "NEES in the file": text(loops.nees if loops else None, ".1f"),
+        "rotation, position": f"{loops.rotation_nees:.1f}, {loops.position_nees:.1f}" if loops else "–",
+        "error [mm]: measured, in the file": (
+            f"{measured.position_mm:.1f}, {loops.position_mm:.1f}" if loops and measured else "–"
+        ),
+        "odometry: NEES": f"{odometry.nees:.1f}",
+        "points": str(len(structure.points)),
+        "reprojection, median [px]": f"{np.median(errors_px):.3f}",
+    }
 
 
 def main(command: MapExportsCommand) -> None:
     """Print a row for each recording and number of cameras.
 
     Raises:
-        ConfigError: A recording has no ground truth.
         InputError: A recording cannot be read.
     """
-    print(table(HEADINGS, []), flush=True)
-    for path in command.recordings:
-        for cameras in command.cameras:
-            with tempfile.TemporaryDirectory() as folder:
-                row = cells(open_recording(path, cameras), cameras, Path(folder))
-            print(f"| {' | '.join(row)} |", flush=True)
+    print_as_made(row_of(path, cameras) for path in command.recordings for cameras in command.cameras)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from markdown_tables import table, text
+from measuring import table, text
 
 from dronevio.eval.metrics.alignment import align
 from dronevio.eval.metrics.errors import ate

@@ -11,12 +11,11 @@ has an infinite error and keeps no bound::
     .venv/bin/python benchmarks/map_gains.py recordings/square --cameras 1 2 --starts-s 0 10 --alterations none bias
 """
 
-import json
 import math
 import sys
 import zlib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -24,8 +23,7 @@ import numpy as np
 import tyro
 from faulty_imus import Fault, of_imu, with_values
 from map_gain_tables import HEADINGS, Flight, PathScores, cells, summary
-from markdown_tables import table
-from wrong_inputs import ChangedRecording, section_of
+from measuring import ChangedRecording, keep, line, section_of, table, with_truth
 
 from dronevio.api import estimate
 from dronevio.benchmark.jobs import versions
@@ -94,12 +92,10 @@ def window_of(recording: Recording, start_s: float, duration_s: float | None) ->
     Raises:
         ConfigError: The recording has no ground truth, or is shorter than the start.
     """
-    if recording.ground_truth is None:
-        raise ConfigError(f"{recording.name} has no ground truth; expected a recording with it")
-    begun = excerpt_of(recording, start_s)
-    times_ns, truth = begun.frame_times_ns, begun.ground_truth
+    begun, truth = with_truth(excerpt_of(recording, start_s))
+    times_ns = begun.frame_times_ns
     if duration_s is None:
-        return ChangedRecording(begun.name, begun.rig, begun.imu, times_ns, begun.frame, truth)
+        return ChangedRecording.of(begun)
     frames = int(np.searchsorted(times_ns, times_ns[0] + round(1e9 * duration_s), side="right"))
     return replace(section_of(begun, frames), ground_truth=truth)
 
@@ -173,10 +169,9 @@ def main(command: MapGainsCommand) -> None:
             asked = Flight(name, cameras, start_s, command.duration_s, alteration, "", made_by=made_by)
             if asked.key not in known:
                 flight = flight_of(asked, window_of(open_recording(path, cameras), start_s, command.duration_s))
-                with command.out.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(asdict(flight), ensure_ascii=False) + "\n")
+                keep(command.out, flight)
                 known[asked.key] = flight
-                print(f"| {' | '.join(cells(flight))} |", file=sys.stderr, flush=True)
+                print(line(cells(flight)), file=sys.stderr, flush=True)
             flights.append(known[asked.key])
     print(table(HEADINGS, map(cells, flights)))
     print(f"\n{summary(flights)}\n")

@@ -11,16 +11,17 @@ solved with the scale by the IMU and with the scale by the odometry
     .venv/bin/python benchmarks/map_scale.py recordings/laps --picture docs/images/map-scale.svg
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 import tyro
-from markdown_tables import table
 from matplotlib.figure import Figure
+from measuring import opened, print_as_made
 
 from dronevio.api import estimate
 from dronevio.estimator.backend.observations import ObservationTable
@@ -39,7 +40,6 @@ from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuModel, ImuSamples
-from dronevio.models.recordings.open import open_recording
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
 from dronevio.sim.inertial.imu import ImuErrors
@@ -92,19 +92,17 @@ def measured(path: Path) -> tuple[AdjustmentInputs, Trajectory]:
     """Return the measurements of the final map of a recording by one camera, and the true path.
 
     Raises:
-        ConfigError: There is no ground truth, or no loop.
+        ConfigError: There is no loop.
         InputError: The recording cannot be read.
     """
-    recording = open_recording(path, 1)
-    if recording.ground_truth is None:
-        raise ConfigError(f"{recording.name} has no ground truth; expected a recording with one")
+    recording, truth = opened(path, 1)
     slam = VisualSlam(recording.rig)
     run = estimate(recording, slam)
     if run.map is None or not len(run.map.closed):
         raise ConfigError(f"no loop in {recording.name}; expected a flight that comes back")
     inputs = slam.adjustment_inputs()
     slam.close()
-    return inputs, recording.ground_truth
+    return inputs, truth
 
 
 def with_exact_tracks(inputs: AdjustmentInputs, truth: Trajectory, seed: int, shake_m: float = 0.0) -> AdjustmentInputs:
@@ -229,6 +227,21 @@ def draw(path: Path, errors: list[tuple[float, float, float]]) -> None:
     figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
 
 
+def rows_of(
+    cases: Iterable[tuple[float | None, Problem]], errors: list[tuple[float, float, float]]
+) -> Iterator[dict[str, str]]:
+    """Yield the rows of problems, and append the shaking [mm] and the errors [%] of those with a shaking camera."""
+    for shake_mm, problem in cases:
+        by_imu, by_odometry = (problem.scale_error_percent(scale) for scale in Scale)
+        if shake_mm is not None:
+            errors.append((shake_mm, by_imu, by_odometry))
+        yield {
+            "measurements": problem.name,
+            "scale by the IMU: error [%]": f"{by_imu:+.2f}",
+            "by the odometry [%]": f"{by_odometry:+.2f}",
+        }
+
+
 def main(command: MapScaleCommand) -> None:
     """Print a table for each recording, and draw the picture.
 
@@ -236,20 +249,14 @@ def main(command: MapScaleCommand) -> None:
         ConfigError: A recording has no ground truth or no loop.
         InputError: A recording cannot be read.
     """
-    headings = ("measurements", "scale by the IMU: error [%]", "by the odometry [%]")
     for number, path in enumerate(command.recordings):
         inputs, truth = measured(path)
         print(f"\n{path.name}: {len(inputs.keyframes)} keyframes\n")
-        print(table(headings, []), flush=True)
-        errors = []
-        cases = [(None, each) for each in problems(inputs, truth, command.seed)] + list(
-            shaken(inputs, truth, command.seed)
+        errors = list[tuple[float, float, float]]()
+        cases = chain(
+            ((None, each) for each in problems(inputs, truth, command.seed)), shaken(inputs, truth, command.seed)
         )
-        for shake_mm, problem in cases:
-            by_imu, by_odometry = (problem.scale_error_percent(scale) for scale in Scale)
-            print(f"| {problem.name} | {by_imu:+.2f} | {by_odometry:+.2f} |", flush=True)
-            if shake_mm is not None:
-                errors.append((shake_mm, by_imu, by_odometry))
+        print_as_made(rows_of(cases, errors))
         if command.picture is not None and number == 0:
             draw(command.picture, errors)
 

@@ -13,21 +13,18 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, before NumPy is imported
 os.environ.setdefault("LP_NUM_THREADS", "0")  # the software renderer computes in the thread that calls it
 
-import json
-import multiprocessing
 from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from statistics import fmean
 from typing import Annotated, Literal
 
 import tyro
+from measuring import computed, kept_results, print_rows
 
-from dronevio.cli.terminal import print_table
 from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimators.driver import TimedEstimator
 from dronevio.eval.metrics.scores import score_trajectory
@@ -94,22 +91,22 @@ def flown(path: Path, state: State, seed: int) -> FlightResult:
     )
 
 
-def rows_of(results: list[FlightResult]) -> Iterator[tuple[str, ...]]:
+def rows_of(results: list[FlightResult]) -> Iterator[dict[str, str]]:
     """Yield the rows of the table: one for each policy and state."""
     for policy, state in product(dict.fromkeys(r.policy for r in results), STATES):
         found = [r for r in results if (r.policy, r.state) == (policy, state)]
         if not found:
             continue
-        yield (
-            policy,
-            state,
-            str(len(found)),
-            str(sum(r.success for r in found)),
-            _mean([r.distance_m for r in found]),
-            _mean([r.duration_s for r in found if r.success], ".2f"),
-            _mean([r.ate_m for r in found]),
-            ", ".join(f"{count} {end}" for end, count in Counter(r.end for r in found).most_common()),
-        )
+        yield {
+            "policy": policy,
+            "state": state,
+            "flights": str(len(found)),
+            "successful": str(sum(r.success for r in found)),
+            "distance [m]": _mean([r.distance_m for r in found]),
+            "time [s]": _mean([r.duration_s for r in found if r.success], ".2f"),
+            "ATE [m]": _mean([r.ate_m for r in found]),
+            "ends": ", ".join(f"{count} {end}" for end, count in Counter(r.end for r in found).most_common()),
+        }
 
 
 def _mean(values: list[float | None], form: str = ".3f") -> str:
@@ -123,30 +120,14 @@ def main(arguments: list[str] | None = None) -> int:
     command = tyro.cli(PolicyFlightsCommand, args=arguments)
     command.work.mkdir(parents=True, exist_ok=True)
     file = command.work / "flights.jsonl"
-    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-    results = [FlightResult(**json.loads(line)) for line in lines]
-    done = {(r.policy, r.state, r.seed) for r in results}
-    wanted = list(product(range(command.seeds), command.policies, STATES))
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(command.workers, spawn, max_tasks_per_child=1) as pool:
-        futures = [
-            pool.submit(flown, path, state, seed)
-            for seed, path, state in wanted
-            if (path.stem, state, seed) not in done
-        ]
-        for number, future in enumerate(as_completed(futures), 1):
-            results.append(future.result())
-            with file.open("a", encoding="utf-8") as lines_file:
-                lines_file.write(json.dumps(asdict(results[-1])) + "\n")
-            print(f"{number} of {len(futures)}: {results[-1]}", flush=True)
+    kept = kept_results(file, FlightResult)
+    done = {(r.policy, r.state, r.seed) for r in kept}
+    wanted = product(range(command.seeds), command.policies, STATES)
+    missing = [(path, state, seed) for seed, path, state in wanted if (path.stem, state, seed) not in done]
+    results = list(computed(file, kept, flown, missing, command.workers))
     order = {(path.stem, seed): k for k, (path, seed) in enumerate(product(command.policies, range(command.seeds)))}
     chosen = sorted((r for r in results if (r.policy, r.seed) in order), key=lambda r: order[r.policy, r.seed])
-    print_table(
-        "Flights of policies on the truth and on the estimate",
-        ("policy", "state", "flights", "successful", "distance [m]", "time [s]", "ATE [m]", "ends"),
-        list(rows_of(chosen)),
-        left=("state", "ends"),
-    )
+    print_rows("Flights of policies on the truth and on the estimate", list(rows_of(chosen)), left=("state", "ends"))
     return 0
 
 

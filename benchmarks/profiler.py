@@ -20,7 +20,7 @@ from pathlib import Path
 from types import FrameType
 
 import tyro
-from markdown_tables import table
+from measuring import table
 
 INTERVAL_S = 0.001
 """Time between two samples of the profiler [s]."""
@@ -35,7 +35,7 @@ STAGES: tuple[tuple[str, str, str], ...] = (
     ("linearization of observations", "backend/reprojection.py", ""),
     ("linear system and marginalization", "backend/linear_system.py", ""),
     ("linear system and marginalization", "backend/marginal_prior.py", ""),
-    ("linear system and marginalization", "backend/linalg.py", ""),
+    ("linear system and marginalization", "optimization/linalg.py", ""),
     ("landmarks and triangulation", "backend/landmarks.py", ""),
     ("landmarks and triangulation", "backend/observations.py", ""),
     ("landmarks and triangulation", "backend/triangulation.py", ""),

@@ -13,15 +13,16 @@ recording can be reloaded in the map of its own beginning (`--mapped-s`)::
 """
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 import tyro
-from markdown_tables import table, text
+from measuring import ChangedRecording, opened, print_as_made, text, with_truth
 
 from dronevio.api import estimate
 from dronevio.estimator.slam.visual_slam import VisualSlam
@@ -30,12 +31,10 @@ from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.errors import Statistics, ate, translation_errors_m
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.errors import ConfigError
-from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.scenario_file import world_of
-from dronevio.models.rig import Rig
-from dronevio.models.state import CameraFrame, Trajectory
+from dronevio.models.state import Trajectory
 from dronevio.recording.excerpts import excerpt_of
 
 
@@ -57,50 +56,18 @@ class ReloadedMapsCommand:
     """Leave the map as it is, instead of going on with mapping."""
 
 
-@dataclass(frozen=True, eq=False)
-class Beginning:
-    """The beginning of a recording; is a `Recording`."""
-
-    whole: Recording
-    """The whole recording."""
-    duration_s: float
-    """Time after its first frame at which the beginning ends [s]."""
-
-    @property
-    def name(self) -> str:
-        """Name of the recording with the time at which this ends."""
-        return f"{self.whole.name} until {self.duration_s:g} s"
-
-    @property
-    def rig(self) -> Rig:
-        """Calibration of the recording."""
-        return self.whole.rig
-
-    @property
-    def imu(self) -> ImuSamples:
-        """IMU samples until then."""
-        imu = self.whole.imu
-        return imu[: int(np.searchsorted(imu.t_ns, self._end_ns))]
-
-    @property
-    def frame_times_ns(self) -> npt.NDArray[np.int64]:
-        """(M,) Time stamps of the frames [ns]."""
-        t_ns = self.whole.frame_times_ns
-        return t_ns[t_ns < self._end_ns]
-
-    @property
-    def ground_truth(self) -> Trajectory | None:
-        """Ground truth until then."""
-        truth = self.whole.ground_truth
-        return None if truth is None else truth[truth.t_ns < self._end_ns]
-
-    def frame(self, index: int) -> CameraFrame:
-        """Return a frame of the recording."""
-        return self.whole.frame(index)
-
-    @property
-    def _end_ns(self) -> int:
-        return int(self.whole.frame_times_ns[0]) + round(1e9 * self.duration_s)
+def beginning(whole: Recording, duration_s: float) -> ChangedRecording:
+    """Return the beginning of a recording, with its ground truth, up to a time after the first frame [s]."""
+    frames_ns, imu, truth = whole.frame_times_ns, whole.imu, whole.ground_truth
+    end_ns = int(frames_ns[0]) + round(1e9 * duration_s)
+    return ChangedRecording(
+        f"{whole.name} until {duration_s:g} s",
+        whole.rig,
+        imu[: int(np.searchsorted(imu.t_ns, end_ns))],
+        frames_ns[frames_ns < end_ns],
+        whole.frame,
+        None if truth is None else truth[truth.t_ns < end_ns],
+    )
 
 
 @dataclass(frozen=True)
@@ -167,73 +134,54 @@ def _loops_since(run: EstimatorRun, begin_ns: int) -> int:
     return 0 if run.map is None else int(np.sum(run.map.t_ns[run.map.closed[:, 1]] >= begin_ns))
 
 
-def _truth(recording: Recording) -> Trajectory:
-    if recording.ground_truth is None:
-        raise ConfigError(f"{recording.name} has no ground truth; expected the recording of a simulated flight")
-    return recording.ground_truth
-
-
-HEADINGS = (
-    "flight",
-    "begins at [s]",
-    "joined [s]",
-    "error at first [mm]",
-    "RMSE [mm]",
-    "final [mm]",
-    "loops",
-    "odometry [mm]",
-    "adjustment",
-)
-
-
-def cells(name: str, start_s: float, found: Reloaded) -> Sequence[str]:
+def row_of(name: str, start_s: float, found: Reloaded) -> dict[str, str]:
     """Return the row of a flight."""
     errors_m = found.first_error_m, found.rmse_m, found.final_m
     first_mm, rmse_mm, final_mm = (None if m is None else 1e3 * m for m in errors_m)
-    return (
-        f"`{name}`",
-        f"{start_s:g}",
-        text(found.joined_s, ".2f"),
-        text(first_mm, ".1f"),
-        text(rmse_mm, ".1f"),
-        text(final_mm, ".1f"),
-        str(found.loops),
-        f"{1e3 * found.odometry_m:.1f}",
-        found.adjustment or "–",
-    )
+    return {
+        "flight": f"`{name}`",
+        "begins at [s]": f"{start_s:g}",
+        "joined [s]": text(found.joined_s, ".2f"),
+        "error at first [mm]": text(first_mm, ".1f"),
+        "RMSE [mm]": text(rmse_mm, ".1f"),
+        "final [mm]": text(final_mm, ".1f"),
+        "loops": str(found.loops),
+        "odometry [mm]": f"{1e3 * found.odometry_m:.1f}",
+        "adjustment": found.adjustment or "–",
+    }
+
+
+def rows_in(file: Path, in_world: Alignment, command: ReloadedMapsCommand) -> Iterator[dict[str, str]]:
+    """Yield the rows of all flights in the map of a file, whose frame is aligned with the world."""
+    for flight, start_s in product(command.flights, command.starts_s):
+        excerpt, truth = with_truth(excerpt_of(open_recording(flight, command.cameras), start_s))
+        with closing(VisualSlam(excerpt.rig, map=file, localize_only=command.localize_only)) as slam:
+            yield row_of(flight.name, start_s, outcome_of(estimate(excerpt, slam), truth, in_world))
 
 
 def main(command: ReloadedMapsCommand) -> None:
     """Print the accuracy and the size of the map, and a row for each flight.
 
     Raises:
-        ConfigError: A recording has no ground truth, or a flight is in another world than the map.
+        ConfigError: A flight is in another world than the map.
         InputError: A recording cannot be read.
     """
     for flight in command.flights:
         if flight != command.mapped and world_of(flight) != world_of(command.mapped):
             raise ConfigError(f"{flight} is in another world than {command.mapped}; expected the same --world-seed")
-    whole = open_recording(command.mapped, command.cameras)
-    recording = whole if command.mapped_s is None else Beginning(whole, command.mapped_s)
-    truth = _truth(recording)
+    recording, truth = opened(command.mapped, command.cameras)
+    if command.mapped_s is not None:
+        recording, truth = with_truth(beginning(recording, command.mapped_s))
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "first.map"
-        slam = VisualSlam(recording.rig)
-        run = estimate(recording, slam)
-        slam.save_map(file)
-        slam.close()
+        with closing(VisualSlam(recording.rig)) as slam:
+            run = estimate(recording, slam)
+            slam.save_map(file)
         in_world, final_m = map_frame_in_world(run, truth)
         path_m, megabytes = truth.length_m, file.stat().st_size * 1e-6
         print(f"Final path of the first flight: RMSE {1e3 * final_m:.1f} mm over {path_m:.1f} m.")
-        print(f"Map: {megabytes:.1f} MB, {megabytes / path_m:.2f} MB per metre.\n")
-        print(table(HEADINGS, []), flush=True)
-        for flight in command.flights:
-            for start_s in command.starts_s:
-                excerpt = excerpt_of(open_recording(flight, command.cameras), start_s)
-                slam = VisualSlam(excerpt.rig, map=file, localize_only=command.localize_only)
-                found = outcome_of(estimate(excerpt, slam), _truth(excerpt), in_world)
-                slam.close()
-                print(f"| {' | '.join(cells(flight.name, start_s, found))} |", flush=True)
+        print(f"Map: {megabytes:.1f} MB, {megabytes / path_m:.2f} MB per metre.\n", flush=True)
+        print_as_made(rows_in(file, in_world, command))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import statistics
 from dataclasses import dataclass, replace
 
 import tyro
-from markdown_tables import numbers, table
+from measuring import numbers, table
 
 from dronevio.benchmark.true_views import flight_views, planned_views
 from dronevio.eval.metrics.revisits import find_revisits

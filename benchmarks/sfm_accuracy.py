@@ -27,9 +27,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import tyro
+from measuring import Stopwatch, opened, print_rows, text
 
 from dronevio.cli import main as dronevio
-from dronevio.cli.terminal import print_table
 from dronevio.estimator.sfm.config import SfmConfig
 from dronevio.estimator.sfm.features import detect_features
 from dronevio.estimator.sfm.pairs import select_pairs
@@ -44,8 +44,6 @@ from dronevio.models.state import Trajectory
 
 Array = npt.NDArray[np.float64]
 
-STAGES = ("features [s]", "matching [s]", "mapping [s]")
-"""Headings of the times of the stages."""
 MIN_SPEED_M_S = 0.1
 """Speed above which a frame counts as moving [m/s]."""
 SCENARIOS = (
@@ -187,7 +185,7 @@ def colmap(images: ImageSet, true: Array, pairs: Sequence[tuple[int, int]], fold
     )
     database = folder / "database.db"
     pycolmap.set_random_seed(0)
-    clock = Clock()
+    clock, costs = Stopwatch(), dict[str, tuple[float, float]]()
     pycolmap.extract_features(
         database,
         folder / "images",
@@ -195,17 +193,17 @@ def colmap(images: ImageSet, true: Array, pairs: Sequence[tuple[int, int]], fold
         reader_options=reader,
         extraction_options=extraction,
     )
-    clock.lap("features")
+    costs["features"] = clock.lap()
     pairing = pycolmap.ImportedPairingOptions(match_list_path=folder / "pairs.txt")
     pycolmap.match_image_pairs(database, matching_options=matching, pairing_options=pairing)
-    clock.lap("matching")
+    costs["matching"] = clock.lap()
     outcomes = []
     for seed in range(seeds):
         pycolmap.set_random_seed(seed)
-        clock.restart()
+        clock.lap()
         models = pycolmap.incremental_mapping(database, folder / "images", folder / f"models-{seed}", options=mapping)
-        clock.lap("mapping")
-        times_s, cpu_s = dict(clock.times_s), sum(clock.cpu_times_s.values())
+        costs["mapping"] = clock.lap()
+        times_s, cpu_s = {name: cost[0] for name, cost in costs.items()}, sum(cost[1] for cost in costs.values())
         if not models:
             outcomes.append(Outcome(0, np.inf, times_s, cpu_s))
             continue
@@ -217,44 +215,30 @@ def colmap(images: ImageSet, true: Array, pairs: Sequence[tuple[int, int]], fold
     return outcomes
 
 
-class Clock:
-    """Elapsed time and processor time of successive stages."""
-
-    def __init__(self) -> None:
-        """Start the first stage."""
-        self.times_s: dict[str, float] = {}
-        self.cpu_times_s: dict[str, float] = {}
-        self._last = time.perf_counter(), time.process_time()
-
-    def restart(self) -> None:
-        """Start a stage, without the time since the last one."""
-        self._last = time.perf_counter(), time.process_time()
-
-    def lap(self, stage: str) -> None:
-        """Record the time of a stage, in place of an earlier one of the same name, and start the next."""
-        now = time.perf_counter(), time.process_time()
-        self.times_s[stage], self.cpu_times_s[stage] = now[0] - self._last[0], now[1] - self._last[1]
-        self._last = now
-
-
-def row(name: str, program: str, outcome: Outcome, images: int) -> list[str]:
+def row(name: str, program: str, outcome: Outcome, images: int) -> dict[str, str]:
     """Return a row of the table."""
-    metric = [f"{value:.3f}" if np.isfinite(value) else "–" for value in (outcome.scale_percent, outcome.tilt_deg)]
-    times = [f"{outcome.times_s[stage]:.1f}" for stage in ("features", "matching", "mapping")]
-    totals = [f"{sum(outcome.times_s.values()):.1f}", f"{outcome.cpu_s:.1f}"]
-    return [name, program, f"{outcome.registered} of {images}", f"{outcome.rmse_mm:.2f}", *metric, *times, *totals]
+    return {
+        "images": name,
+        "program": program,
+        "registered": f"{outcome.registered} of {images}",
+        "RMSE [mm]": f"{outcome.rmse_mm:.2f}",
+        "scale [%]": text(outcome.scale_percent),
+        "tilt [°]": text(outcome.tilt_deg),
+        **{f"{stage} [s]": f"{outcome.times_s[stage]:.1f}" for stage in ("features", "matching", "mapping")},
+        "all [s]": f"{sum(outcome.times_s.values()):.1f}",
+        "processor [s]": f"{outcome.cpu_s:.1f}",
+    }
 
 
-def simulated(command: SfmAccuracyCommand) -> Iterator[list[str]]:
+def simulated(command: SfmAccuracyCommand) -> Iterator[dict[str, str]]:
     """Fly the scenarios, reconstruct them with both programs, and yield the rows of the table."""
     for scenario in command.scenarios:
         flight = command.work / scenario
         if not flight.exists():
             dronevio(["fly", "--scenario", scenario, "--out", str(flight)])
-        recording = open_recording(flight)
-        assert recording.ground_truth is not None
+        recording, truth = opened(flight)
         images = image_recording(recording, frames=moving_frames(recording, command.frames).tolist())
-        true, _ = true_positions(recording.ground_truth, images)
+        true, _ = true_positions(truth, images)
         outcome = ours(images, true)
         yield row(scenario, "dronevio", outcome, len(images.names))
         if command.colmap_seeds > 0:
@@ -265,7 +249,7 @@ def simulated(command: SfmAccuracyCommand) -> Iterator[list[str]]:
             yield row(scenario, f"COLMAP, median of {len(others)}", chosen, len(images.names))
 
 
-def recorded(command: SfmAccuracyCommand) -> Iterator[list[str]]:
+def recorded(command: SfmAccuracyCommand) -> Iterator[dict[str, str]]:
     """Reconstruct recordings from all their cameras, and yield the rows of the table."""
     for folder in command.recordings:
         recording = open_recording(folder)
@@ -278,21 +262,10 @@ def recorded(command: SfmAccuracyCommand) -> Iterator[list[str]]:
 
 def measure(command: SfmAccuracyCommand) -> None:
     """Reconstruct all scenarios and recordings, and print the table after each row."""
-    heading = (
-        "images",
-        "program",
-        "registered",
-        "RMSE [mm]",
-        "scale [%]",
-        "tilt [°]",
-        *STAGES,
-        "all [s]",
-        "processor [s]",
-    )
     rows = []
     for added in chain(simulated(command), recorded(command)):
         rows.append(added)
-        print_table("Structure from motion", heading, rows, left=("images", "program"))
+        print_rows("Structure from motion", rows, left=("program",))
 
 
 if __name__ == "__main__":

@@ -18,8 +18,7 @@ Use::
 
 import os
 import tempfile
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -27,8 +26,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import tyro
+from measuring import print_rows, text
 
-from dronevio.cli.terminal import print_table
 from dronevio.estimator.sfm.pipeline import reconstruct
 from dronevio.models.camera import CameraModel
 from dronevio.models.image_sets import ImageSet, image_folder, joined
@@ -98,17 +97,13 @@ def motorcycle(folder: Path) -> RealSet:
     height, width = images.read(0).shape[:2]
     f, (cx, cy) = MOTORCYCLE_FOCAL_PX, MOTORCYCLE_CENTRE_PX
     cameras = tuple(CameraModel(width, height, f, f, x, cy) for x in (cx, cx + MOTORCYCLE_DX_PX))
-    images = ImageSet(
-        images.names,
-        np.arange(2),
-        cameras,
-        np.array([True, True]),
-        False,
-        None,
-        None,
-        None,
-        images.read,
-        images.read_mask,
+    images = replace(
+        images,
+        image_camera=np.arange(2),
+        cameras=cameras,
+        is_calibrated=np.array([True, True]),
+        is_ordered=False,
+        focal_source=(),
     )
     T = np.eye(4)
     T[0, 3] = 0.193001
@@ -117,18 +112,7 @@ def motorcycle(folder: Path) -> RealSet:
 
 
 def _renamed(images: ImageSet, folder: str) -> ImageSet:
-    return ImageSet(
-        tuple(f"{folder}/{name}" for name in images.names),
-        images.image_camera,
-        images.cameras,
-        images.is_calibrated,
-        False,
-        None,
-        None,
-        None,
-        images.read,
-        images.read_mask,
-    )
+    return replace(images, names=tuple(f"{folder}/{name}" for name in images.names))
 
 
 def differences(found: Reconstruction, real: RealSet) -> Differences:
@@ -205,20 +189,19 @@ def colmap(images: ImageSet) -> Reconstruction | None:
     return Reconstruction(**{**vars(found), "image_names": names})
 
 
-def row(real: RealSet, program: str, found: Reconstruction | None) -> list[str]:
+def row(real: RealSet, program: str, found: Reconstruction | None) -> dict[str, str]:
     """Return a row of the table."""
-    if found is None:
-        return [real.name, program, f"0 of {len(real.images)}", *["–"] * 6]
-    known = differences(found, real)
-    values = (known.rotation_deg, known.direction_deg, known.baseline_percent, known.disparity_px)
-    return [
-        real.name,
-        program,
-        f"{len(found.image_names)} of {len(real.images)}",
-        f"{len(found.points)}",
-        f"{np.median(found.reprojection_errors_px()):.3f}",
-        *(f"{value:.3f}" if np.isfinite(value) else "–" for value in values),
-    ]
+    known = None if found is None else differences(found, real)
+    values = astuple(known) if known else (None,) * 4
+    headings = ("rotation [°]", "direction [°]", "baselines, σ [%]", "disparity [px]")
+    return {
+        "set": real.name,
+        "program": program,
+        "registered": f"{0 if found is None else len(found.image_names)} of {len(real.images)}",
+        "points": "–" if found is None else f"{len(found.points)}",
+        "error, median [px]": text(None if found is None else float(np.median(found.reprojection_errors_px()))),
+        **{heading: text(value) for heading, value in zip(headings, values, strict=True)},
+    }
 
 
 def measure(command: RealCommand) -> None:
@@ -231,24 +214,13 @@ def measure(command: RealCommand) -> None:
         sets.append(motorcycle(command.motorcycle))
     if not sets:
         raise SystemExit("no images; expected the variable DRONEVIO_DATA or the option --motorcycle")
-    rows: list[Sequence[str]] = []
+    rows: list[dict[str, str]] = []
     for real in sets:
         ours = reconstruct(real.images).reconstructions
         rows.append(row(real, "dronevio", ours[0] if ours else None))
         if command.colmap:
             rows.append(row(real, "COLMAP", colmap(real.images)))
-    heading = (
-        "set",
-        "program",
-        "registered",
-        "points",
-        "error, median [px]",
-        "rotation [°]",
-        "direction [°]",
-        "baselines, σ [%]",
-        "disparity [px]",
-    )
-    print_table("Real images", heading, rows, left=("set", "program"))
+    print_rows("Real images", rows, left=("program",))
 
 
 if __name__ == "__main__":

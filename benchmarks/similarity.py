@@ -14,45 +14,23 @@ s times as long. A gyroscope bias is an error of the sensor and does not scale w
 division and added again, while what it wanders by is divided. Settings of an estimator do not scale either.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+from measuring import ChangedRecording
 
 from dronevio.models.errors import ConfigError
-from dronevio.models.imu import ImuModel, ImuSamples, Times
+from dronevio.models.imu import ImuModel, Times
 from dronevio.models.protocols import Recording
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import log_so3
-from dronevio.models.state import CameraFrame, Trajectory
+from dronevio.models.state import Trajectory
 
 Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class PlayedRecording:
-    """A recording with other times, or with some of its frames; is a `Recording`."""
-
-    name: str
-    """Name in reports."""
-    rig: Rig
-    """Calibration of cameras and IMU."""
-    imu: ImuSamples
-    """IMU samples of the whole recording."""
-    frame_times_ns: Times
-    """(M,) Time stamps of the frames [ns]."""
-    image_of: Callable[[int], CameraFrame]
-    """Function that returns a frame by its index, with any time stamp."""
-    ground_truth: Trajectory | None
-    """Ground truth, by the same clock and in the same unit of length."""
-
-    def frame(self, index: int) -> CameraFrame:
-        """Return a frame at its time stamp."""
-        return replace(self.image_of(index), t_ns=int(self.frame_times_ns[index]))
-
-
-def similar(recording: Recording, s: float, gyro_bias_rad_s: Array) -> PlayedRecording:
+def similar(recording: Recording, s: float, gyro_bias_rad_s: Array) -> ChangedRecording:
     """Return a recording that takes s times as long, in a world s² times as large.
 
     Args:
@@ -69,7 +47,7 @@ def similar(recording: Recording, s: float, gyro_bias_rad_s: Array) -> PlayedRec
     if truth is not None:
         velocity = None if truth.velocity_m_s is None else s * truth.velocity_m_s
         truth = Trajectory(played(truth.t_ns), s**2 * truth.p_world_imu, truth.quat_wxyz, velocity)
-    return PlayedRecording(
+    return ChangedRecording(
         f"{recording.name} x{s:.3g}",
         similar_rig(recording.rig, s),
         replace(imu, t_ns=played(imu.t_ns), gyro_rad_s=gyro_rad_s),
@@ -105,7 +83,7 @@ def similar_imu(imu: ImuModel, s: float) -> ImuModel:
     )
 
 
-def part_of(recording: Recording, frames: npt.NDArray[np.int64], rate_hz: float | None = None) -> PlayedRecording:
+def part_of(recording: Recording, frames: npt.NDArray[np.int64], rate_hz: float | None = None) -> ChangedRecording:
     """Return some frames of a recording, with the IMU from the first of them on.
 
     Args:
@@ -118,20 +96,16 @@ def part_of(recording: Recording, frames: npt.NDArray[np.int64], rate_hz: float 
         rig = replace(rig, cameras=tuple(replace(camera, rate_hz=rate_hz) for camera in rig.cameras))
     first = max(int(np.searchsorted(recording.imu.t_ns, times_ns[0], side="right")) - 1, 0)
 
-    def image_of(index: int) -> CameraFrame:
-        return recording.frame(int(frames[index]))
-
-    return PlayedRecording(recording.name, rig, recording.imu[first:], times_ns, image_of, recording.ground_truth)
+    part = ChangedRecording.of(recording).chosen(frames)
+    return replace(part, rig=rig, imu=recording.imu[first:])
 
 
-def jittered(recording: Recording, sigma_s: float, seed: int = 0) -> PlayedRecording:
+def jittered(recording: Recording, sigma_s: float, seed: int = 0) -> ChangedRecording:
     """Return a recording whose frames have time stamps with normally distributed errors [s]."""
     rng = np.random.default_rng(seed)
     times_ns = recording.frame_times_ns
     stamps_ns = times_ns + np.rint(1e9 * sigma_s * rng.standard_normal(len(times_ns))).astype(np.int64)
-    return PlayedRecording(
-        recording.name, recording.rig, recording.imu, stamps_ns, recording.frame, recording.ground_truth
-    )
+    return replace(ChangedRecording.of(recording), frame_times_ns=stamps_ns)
 
 
 def gyro_bias_of(recording: Recording) -> Array:

@@ -15,19 +15,15 @@ from pathlib import Path
 
 import numpy as np
 import tyro
-from wrong_inputs import FAULTS, Change, ChangedRecording, section_of
+from measuring import ChangedRecording, ate_m, first_pose_s, frames_of, odometry, opened, print_rows, section_of
+from wrong_inputs import FAULTS, Change
 
-from dronevio.cli.terminal import print_table
 from dronevio.estimator.calibration.calibrator import TIME_OFFSET_FOUND
 from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimators.driver import estimate_recording
-from dronevio.eval.metrics.alignment import align
-from dronevio.eval.metrics.association import interpolate
-from dronevio.eval.run import EstimatorRun
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import Recording
-from dronevio.models.recordings.open import open_recording
-from dronevio.models.state import Health, Trajectory
+from dronevio.models.state import Health
 
 FOUND_S = 0.005
 
@@ -52,15 +48,10 @@ class TimeOffsetsCommand:
 
 def started(recording: ChangedRecording, start_s: float) -> ChangedRecording:
     """Return a recording without its first frames, and without the IMU samples before them."""
-    times_ns, image_of = recording.frame_times_ns, recording.image_of
+    times_ns = recording.frame_times_ns
     first = int(np.searchsorted(times_ns, times_ns[0] + round(start_s * 1e9)))
     row = int(np.searchsorted(recording.imu.t_ns, times_ns[first]))
-    return replace(
-        recording,
-        imu=recording.imu[max(row - 1, 0) :],
-        frame_times_ns=times_ns[first:],
-        image_of=lambda index: image_of(index + first),
-    )
+    return replace(recording.chosen(np.arange(first, len(times_ns))), imu=recording.imu[max(row - 1, 0) :])
 
 
 def offset(recording: ChangedRecording, offset_s: float) -> ChangedRecording:
@@ -92,33 +83,26 @@ def wrong_inputs(command: TimeOffsetsCommand, recording: Recording) -> int:
         adopted, tracking, texts = 0, 0, set[str]()
         for start_s in command.starts_s:
             changed = started(change(section_of(recording, command.frames), recording), start_s)
-            run = estimate_recording(changed, VisualInertialOdometry(changed.rig))
+            run = odometry(changed)
             adopted += any(TIME_OFFSET_FOUND in text for e in run.estimates for text in e.events)
-            tracking += sum(e.health is Health.TRACKING for e in run.estimates)
+            tracking += frames_of(run, Health.TRACKING)
             texts |= {text[:60] for _, text in run.warnings}
-        rows.append((name, f"{adopted} of {len(command.starts_s)}", str(tracking), "; ".join(sorted(texts))[:100]))
+        rows.append(
+            {
+                "fault": name,
+                "adopted": f"{adopted} of {len(command.starts_s)}",
+                "tracking": str(tracking),
+                "warnings": "; ".join(sorted(texts))[:100],
+            }
+        )
         total += adopted
-    print_table("measurements that do not belong together", ("fault", "adopted", "tracking", "warnings"), rows)
+    print_rows("measurements that do not belong together", rows)
     return total
-
-
-def ate_m(run: EstimatorRun, truth: Trajectory) -> float:
-    """Return the RMS position error of a run after alignment of position and yaw [m]; NaN with few poses."""
-    estimate = run.trajectory
-    if len(estimate) < 3:
-        return float("nan")
-    true, rows = interpolate(truth, estimate.t_ns)
-    p = estimate[rows].p_world_imu
-    errors = align(true.p_world_imu, p).positions(p) - true.p_world_imu
-    return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
 
 def main(command: TimeOffsetsCommand) -> int:
     """Print the tables; return 1 if fewer than 90 % of the offsets are found, or one is adopted that does not exist."""
-    recording: Recording = open_recording(command.recording, command.cameras)
-    truth = recording.ground_truth
-    if truth is None:
-        raise SystemExit(f"{command.recording}: no ground truth; expected a recording with the true motion")
+    recording, truth = opened(command.recording, command.cameras)
     rows, good, tried, reference = [], 0, 0, dict[float, float]()
     for offset_ms in command.offsets_ms:
         errors_ms, ates, ratios, first_s, tracking, adopted = [], [], [], [], [], 0
@@ -131,26 +115,25 @@ def main(command: TimeOffsetsCommand) -> int:
             adopted += any(TIME_OFFSET_FOUND in text for e in run.estimates for text in e.events)
             reference.setdefault(start_s, ates[-1])
             ratios.append(ates[-1] / reference[start_s])
-            poses = [e for e in run.estimates if e.state is not None]
-            first_s.append((poses[0].t_ns - run.t_ns[0]) * 1e-9 if poses else float("nan"))
-            tracking.append(sum(e.health is Health.TRACKING for e in run.estimates) / max(len(poses), 1))
+            first_s.append(first_pose_s(run))
+            poses = sum(e.state is not None for e in run.estimates)
+            tracking.append(frames_of(run, Health.TRACKING) / max(poses, 1))
         found = np.abs(errors_ms) <= 1e3 * FOUND_S
         if offset_ms:
             good, tried = good + int(found.sum()), tried + len(found)
         rows.append(
-            (
-                f"{offset_ms:+.0f}",
-                f"{found.sum()} of {len(found)}",
-                str(adopted),
-                " ".join(f"{e:+.1f}" for e in errors_ms),
-                " ".join(f"{1e3 * a:.1f}" for a in ates),
-                " ".join(f"{r:.2f}" for r in ratios),
-                " ".join(f"{s:.1f}" for s in first_s),
-                " ".join(f"{100 * t:.0f}" for t in tracking),
-            )
+            {
+                "offset ms": f"{offset_ms:+.0f}",
+                "found": f"{found.sum()} of {len(found)}",
+                "adopted": str(adopted),
+                "errors ms": " ".join(f"{e:+.1f}" for e in errors_ms),
+                "ATE mm": " ".join(f"{1e3 * a:.1f}" for a in ates),
+                "ATE ratio": " ".join(f"{r:.2f}" for r in ratios),
+                "first pose s": " ".join(f"{s:.1f}" for s in first_s),
+                "tracking %": " ".join(f"{100 * t:.0f}" for t in tracking),
+            }
         )
-    titles = ("offset ms", "found", "adopted", "errors ms", "ATE mm", "ATE ratio", "first pose s", "tracking %")
-    print_table(f"{recording.name}, {command.cameras} cameras", titles, rows)
+    print_rows(f"{recording.name}, {command.cameras} cameras", rows)
     print(f"found within {1e3 * FOUND_S:g} ms: {good} of {tried}")
     wrong = wrong_inputs(command, recording)
     return int((tried > 0 and good < 0.9 * tried) or wrong > 0)

@@ -24,6 +24,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import tyro
+from measuring import print_as_made
 
 from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
@@ -262,22 +263,19 @@ def _at_age(age: int, error_px: Array) -> AgeErrors:
     return AgeErrors(age, len(error_px), float(np.median(error_px)), float(np.quantile(error_px, 0.9)), outliers)
 
 
-def report(rows: Sequence[TrackErrors]) -> str:
-    """Return the Markdown table of all recordings."""
-    headings = ["recording", *(f"{a.age} frames" for a in rows[0].ages), "features", "half-life", "stereo", "ms"]
-    lines = [" | ".join(headings), " | ".join([":---"] + ["---:"] * (len(headings) - 1))]
-    for row in rows:
-        cells = [row.name]
-        cells += [f"{a.median_px:.3f} / {a.p90_px:.2f} / {a.outlier_percent:.1f} %" for a in row.ages]
-        stereo = "–"
-        if row.stereo_median_px is not None:
-            stereo = (
-                f"{row.stereo_median_px:.3f} / {row.stereo_outlier_percent:.1f} % / {row.stereo_matched_percent:.0f} %"
-            )
-        cells += [f"{row.features:.0f}", f"{row.half_life_frames:.0f}", stereo]
-        cells.append(f"{row.track_ms:.1f} + {row.replenish_ms:.1f}")
-        lines.append(" | ".join(cells))
-    return "\n".join(f"| {line} |" for line in lines)
+def row_of(errors: TrackErrors) -> dict[str, str]:
+    """Return the row of a recording."""
+    e, stereo = errors, "–"
+    if e.stereo_median_px is not None:
+        stereo = f"{e.stereo_median_px:.3f} / {e.stereo_outlier_percent:.1f} % / {e.stereo_matched_percent:.0f} %"
+    return {
+        "recording": e.name,
+        **{f"{a.age} frames": f"{a.median_px:.3f} / {a.p90_px:.2f} / {a.outlier_percent:.1f} %" for a in e.ages},
+        "features": f"{e.features:.0f}",
+        "half-life": f"{e.half_life_frames:.0f}",
+        "stereo": stereo,
+        "ms": f"{e.track_ms:.1f} + {e.replenish_ms:.1f}",
+    }
 
 
 def main(command: TrackAccuracyCommand) -> int:
@@ -295,7 +293,7 @@ def main(command: TrackAccuracyCommand) -> int:
         "[px] / share above 1 px / share of the features with a match. Processor time: tracking + detection and\n"
         "stereo matching.\n"
     )
-    print(report(rows))
+    print_as_made(map(row_of, rows))
     if command.json is not None:
         command.json.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", encoding="utf-8")
     return 0

@@ -12,20 +12,16 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal
 
 import gymnasium
 import numpy as np
 import tyro
-from markdown_tables import numbers
+from measuring import in_processes, numbers, print_rows
 
 import dronevio.envs  # noqa: F401 registers
-from dronevio.cli.terminal import print_table
 from dronevio.sim.envs.policies.goal_flight import fly_to_goal
 from dronevio.sim.envs.sensing.estimation import Estimation
 from dronevio.sim.envs.tasks import VioHover, VioNavigate
@@ -131,16 +127,6 @@ def flown(command: EpisodesCommand, seed: int) -> Episode:
     )
 
 
-def episodes(command: EpisodesCommand, seeds: tuple[int, ...]) -> Iterator[Episode]:
-    """Yield the results of seeds as they are finished."""
-    if command.workers == 1:
-        yield from (flown(command, seed) for seed in seeds)
-        return
-    with ProcessPoolExecutor(command.workers, get_context("spawn")) as pool:
-        for future in as_completed([pool.submit(flown, command, seed) for seed in seeds]):
-            yield future.result()
-
-
 def summary(results: list[Episode]) -> dict[str, Any]:
     """Return the figures of several episodes by name."""
     path, final, worst = (
@@ -182,7 +168,8 @@ def main(command: EpisodesCommand) -> int:
         os.environ.setdefault(name, "1")
     results = read(command.json)
     known = {one.seed for one in results}
-    for one in episodes(command, tuple(seed for seed in numbers(command.seeds) if seed not in known)):
+    missing = [(command, seed) for seed in numbers(command.seeds) if seed not in known]
+    for one in in_processes(flown, missing, command.workers):
         results = sorted([*results, one], key=lambda episode: episode.seed)
         write(command.json, command, results)
         print(
@@ -190,21 +177,20 @@ def main(command: EpisodesCommand) -> int:
             flush=True,
         )
     rows = [
-        (
-            str(one.seed),
-            one.end,
-            f"{one.duration_s:.1f}",
-            f"{one.final_path_error_m:.3f}",
-            f"{one.final_estimate_error_m:.3f}",
-            f"{one.worst_estimate_error_m:.3f}",
-            f"{np.degrees(one.worst_orientation_error_rad):.1f}",
-            f"{one.lost_s:.2f}",
-        )
+        {
+            "seed": str(one.seed),
+            "end": one.end,
+            "s": f"{one.duration_s:.1f}",
+            "final path m": f"{one.final_path_error_m:.3f}",
+            "final estimate m": f"{one.final_estimate_error_m:.3f}",
+            "worst estimate m": f"{one.worst_estimate_error_m:.3f}",
+            "worst °": f"{np.degrees(one.worst_orientation_error_rad):.1f}",
+            "lost s": f"{one.lost_s:.2f}",
+        }
         for one in results
     ]
-    columns = ("seed", "end", "s", "final path m", "final estimate m", "worst estimate m", "worst °", "lost s")
-    print_table(f"Episodes of {command.environment}", columns, rows, ("end",))
-    print_table("", ("figure", "value"), [(name, f"{value:.4g}") for name, value in summary(results).items()])
+    print_rows(f"Episodes of {command.environment}", rows, left=("end",))
+    print_rows("", [{"figure": name, "value": f"{value:.4g}"} for name, value in summary(results).items()])
     return int(any(one.crashed for one in results))
 
 

@@ -9,16 +9,15 @@ Each fault is applied to a recording while it is read. A fault is noticed in tim
 """
 
 import sys
-from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import tyro
+from measuring import NO_POSE, ChangedRecording, frames_of, odometry, opened, print_rows, section_of
 
-from dronevio.cli.terminal import print_table
 from dronevio.estimator.initialization.not_observable import (
     ACCEL_DISAGREES,
     FORCE_IS_NOT_GRAVITY,
@@ -27,17 +26,15 @@ from dronevio.estimator.initialization.not_observable import (
     SENSORS_SWAPPED,
 )
 from dronevio.estimator.monitoring.causes import Cause
-from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.output import REPEATED_IMAGES
-from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.consistency import errors_and_sigmas_m
 from dronevio.eval.run import EstimatorRun
 from dronevio.eval.tracking import is_tracking
-from dronevio.models.imu import GRAVITY_M_S2, ImuSamples
+from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording
-from dronevio.models.rig import Rig, RigCamera
+from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import CameraFrame, Health, Trajectory
 
@@ -49,50 +46,20 @@ CAMERA_DISAGREES = "contradicts its calibration"
 CALIBRATION_DISAGREES = (CAMERA_DISAGREES, Cause.IMPLAUSIBLE_CALIBRATION)
 
 
-@dataclass(frozen=True, eq=False)
-class ChangedRecording:
-    """A recording of which some parts are replaced; is a `Recording`."""
-
-    name: str
-    """Name in reports."""
-    rig: Rig
-    """Calibration that the estimator is given."""
-    imu: ImuSamples
-    """IMU samples that the estimator is given."""
-    frame_times_ns: npt.NDArray[np.int64]
-    """(M,) Time stamps of the frames [ns]."""
-    image_of: Callable[[int], CameraFrame]
-    """Function that returns a frame by its index."""
-    ground_truth: Trajectory | None = field(default=None)
-    """Ground truth for scores, which estimators do not need; None without one."""
-
-    def frame(self, index: int) -> CameraFrame:
-        """Return a frame at its time stamp."""
-        return replace(self.image_of(index), t_ns=int(self.frame_times_ns[index]))
-
-
 Change = Callable[[ChangedRecording, Recording], ChangedRecording]
 
 
 def of_images(function: Callable[[npt.NDArray[np.uint8]], npt.NDArray[np.uint8]]) -> Change:
     """Return the fault that changes each image by a function."""
-
-    def changed(recording: ChangedRecording, _: Recording) -> ChangedRecording:
-        def image_of(index: int) -> CameraFrame:
-            frame = recording.image_of(index)
-            return replace(frame, images=tuple(function(image) for image in frame.images))
-
-        return replace(recording, image_of=image_of)
-
-    return changed
+    return lambda recording, _: recording.with_images(function)
 
 
 def of_order(index_of: Callable[[int, int], int]) -> Change:
     """Return the fault that shows another image, by a function of the index and the number of frames."""
 
     def changed(recording: ChangedRecording, _: Recording) -> ChangedRecording:
-        count, image_of = len(recording.frame_times_ns), recording.image_of
-        return replace(recording, image_of=lambda index: image_of(index_of(index, count)))
+        count = len(recording.frame_times_ns)
+        return recording.shown(np.array([index_of(index, count) for index in range(count)]))
 
     return changed
 
@@ -198,13 +165,6 @@ class WrongInputsCommand:
     """Names of the faults."""
 
 
-def section_of(recording: Recording, frames: int) -> ChangedRecording:
-    """Return the beginning of a recording, without changes."""
-    times_ns, imu = recording.frame_times_ns[:frames], recording.imu
-    first, last = np.searchsorted(imu.t_ns, [times_ns[0] - 20_000_000, times_ns[-1] + 50_000_000]).tolist()
-    return ChangedRecording(recording.name, recording.rig, imu[first:last], times_ns, recording.frame)
-
-
 def late_notice_s(run: EstimatorRun, truth: Trajectory) -> float | None:
     """Return the first time at which a pose is wrong while tracking [s], or None."""
     if len(run.trajectory) < 2 or run.trajectory.covariance is None:
@@ -216,38 +176,34 @@ def late_notice_s(run: EstimatorRun, truth: Trajectory) -> float | None:
     return float((estimate.t_ns[wrong.argmax()] - run.t_ns[0]) * 1e-9) if wrong.any() else None
 
 
-def row_of(name: str, run: EstimatorRun, truth: Trajectory) -> tuple[str, ...]:
+def row_of(name: str, run: EstimatorRun, truth: Trajectory) -> dict[str, str]:
     """Return the row of a fault: frames by health, whether it was noticed in time, and whether its cause is stated."""
-    counts, causes = Counter(estimate.health for estimate in run.estimates), FAULTS[name][1]
-    warnings = [text for _, text in run.warnings]
-    wrong_s = late_notice_s(run, truth)
+    causes, warnings, wrong_s = FAULTS[name][1], [text for _, text in run.warnings], late_notice_s(run, truth)
     stated = [text for text in warnings if not text.startswith("lost: ") and MOTION_DISAGREES not in text]
-    return (
-        name,
-        str(counts[Health.TRACKING]),
-        str(counts[Health.INITIALIZING] + counts[Health.LOST]),
-        "yes" if wrong_s is None else f"no, wrong at {wrong_s:.1f} s",
-        "no" if not stated else "yes" if all(any(cause in text for cause in causes) for text in stated) else "wrongly",
-        warnings[0] if warnings else "",
-    )
+    is_right = all(any(cause in text for cause in causes) for text in stated)
+    return {
+        "fault": name,
+        "tracking": str(frames_of(run, Health.TRACKING)),
+        "no pose": str(frames_of(run, *NO_POSE)),
+        "noticed in time": "yes" if wrong_s is None else f"no, wrong at {wrong_s:.1f} s",
+        "cause stated": "no" if not stated else "yes" if is_right else "wrongly",
+        "first warning": warnings[0] if warnings else "",
+    }
 
 
 def main(command: WrongInputsCommand) -> int:
     """Estimate the recording with all faults and print the table; return 1 if a fault was not noticed in time."""
-    recording = open_recording(command.recording, command.cameras)
-    if recording.ground_truth is None:
-        raise SystemExit(f"{command.recording}: no ground truth; expected a recording with the true motion")
-    truth, section = recording.ground_truth, section_of(recording, command.frames)
+    recording, truth = opened(command.recording, command.cameras)
+    section = section_of(recording, command.frames)
     other = open_recording(command.crossed, command.cameras) if command.crossed else None
     rows = []
     for name in command.faults:
         if (name == "crossed-flights" and other is None) or (name == "swapped-cameras" and command.cameras < 2):
             continue
         changed = FAULTS[name][0](section, other or recording)
-        rows.append(row_of(name, estimate_recording(changed, VisualInertialOdometry(changed.rig)), truth))
-    titles = ("fault", "tracking", "no pose", "noticed in time", "cause stated", "first warning")
-    print_table(f"{recording.name}, {command.frames} frames", titles, rows)
-    return int(any(row[3] != "yes" for row in rows))
+        rows.append(row_of(name, odometry(changed), truth))
+    print_rows(f"{recording.name}, {command.frames} frames", rows)
+    return int(any(row["noticed in time"] != "yes" for row in rows))
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from dronevio.eval.metrics.alignment import AlignmentMode, align
 from dronevio.eval.metrics.association import associate
 from dronevio.eval.metrics.errors import Statistics, translation_errors_m
 from dronevio.eval.metrics.scores import ScoredTrajectory, score_trajectory
+from dronevio.eval.metrics.trajectory_errors import ScoreOptions
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import Times
@@ -35,7 +36,7 @@ def evaluate(
     """
     estimate = _estimated(estimated)
     true, frame_times_ns = _true(truth, estimate.t_ns)
-    return score_trajectory(true, estimate, frame_times_ns, alignment)
+    return score_trajectory(true, estimate, frame_times_ns, ScoreOptions(alignment))
 
 
 def ate(

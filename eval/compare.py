@@ -26,19 +26,19 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.eval.benchmark.metrics import METRICS
 from dronevio.eval.benchmark.rows import Identity, Row, run_name
+from dronevio.eval.benchmark.summary import known_values
 from dronevio.models.errors import ConfigError, EvaluationError
 
 Array = npt.NDArray[np.float64]
 Pair = tuple[Row, Row]
 """Runs of the first and the second benchmark with the same scenario, seed and estimator."""
 
-ERRORS = ("ate_m", "ate_deg", "rpe_m", "rpe_deg", "drift_percent", "scale_error_percent", "velocity_m_s")
-"""Columns that are errors: smaller is better, and zero is perfect."""
-COSTS = ("cpu_ms_mean", "cpu_ms_p99", "wall_s", "peak_mb", "first_pose_s")
-"""Columns that are costs: smaller is better."""
+COMPARABLE = tuple(metric.name for metric in METRICS.values() if metric.best in ("low", "any"))
+"""Metrics that are errors or costs: smaller is better, and zero is perfect."""
 DEFAULT_METRICS = ("ate_m", "rpe_m")
-"""Columns that are compared by default."""
+"""Metrics that are compared by default."""
 _RESAMPLES = 10_000
 _VALUES_PER_BLOCK = 2_000_000  # of the bootstrap, 16 MB
 _CONFIDENCE = 0.95
@@ -52,7 +52,7 @@ class Ratio:
     """The ratio of a metric in the second benchmark to that in the first; 1.1 means 10 % larger."""
 
     metric: str
-    """Column of the rows."""
+    """Name of the metric."""
     pairs: int
     """Number of compared pairs."""
     missing: int
@@ -168,16 +168,16 @@ def compare(pairs: Sequence[Pair], metrics: Sequence[str] = DEFAULT_METRICS, see
 
     Args:
         pairs: Pairs of runs.
-        metrics: Columns out of `ERRORS` and `COSTS`.
+        metrics: Names out of `COMPARABLE`.
         seed: Seed of the bootstrap.
 
     Raises:
         ConfigError: A metric does not exist.
         EvaluationError: No run of an estimator has a value of a metric.
     """
-    unknown = [metric for metric in metrics if metric not in (*ERRORS, *COSTS)]
+    unknown = [metric for metric in metrics if metric not in COMPARABLE]
     if unknown or not metrics:
-        raise ConfigError(f"metrics {', '.join(unknown) or 'none'}; expected some of {', '.join((*ERRORS, *COSTS))}")
+        raise ConfigError(f"metrics {', '.join(unknown) or 'none'}; expected some of {', '.join(COMPARABLE)}")
     groups: dict[str, list[Pair]] = {}
     for a, b in pairs:
         name = a.estimator if a.estimator == b.estimator else f"{b.estimator} against {a.estimator}"
@@ -200,7 +200,7 @@ def gate(
     Args:
         pairs: Pairs of runs, that of the baseline first.
         max_regression_percent: The limit [%].
-        metrics: Columns out of `ERRORS` and `COSTS`.
+        metrics: Names out of `COMPARABLE`.
         seed: Seed of the bootstrap.
 
     Raises:
@@ -247,18 +247,18 @@ def _comparison(name: str, pairs: Sequence[Pair], metrics: Sequence[str], seed: 
 
 def _violations(one: Comparison, limit_percent: float) -> list[str]:
     """Return why a change does not pass for one estimator."""
-    limit, found = limit_percent / 100.0, []
+    limit, reasons = limit_percent / 100.0, []
     for ratio in one.ratios:
         if ratio.median > 1.0 + limit:
             interval = f"95 % confidence: {_times(ratio.low)} to {_times(ratio.high)}"
-            found.append(f"{one.estimator}: {ratio.metric} {_change(ratio.median)} ({interval}; p = {ratio.p:.2g})")
+            reasons.append(f"{one.estimator}: {ratio.metric} {_change(ratio.median)} ({interval}; p = {ratio.p:.2g})")
     before, after = one.failed
     if (after - before) / one.pairs > limit:
-        found.append(f"{one.estimator}: {after} of {one.pairs} runs failed, {before} before")
+        reasons.append(f"{one.estimator}: {after} of {one.pairs} runs failed, {before} before")
     coverage_before, coverage_after = one.coverage_percent
     if coverage_before is not None and coverage_before - (coverage_after or 0.0) > limit_percent:
-        found.append(f"{one.estimator}: mean coverage {coverage_after or 0.0:.1f} %, {coverage_before:.1f} % before")
-    return found
+        reasons.append(f"{one.estimator}: mean coverage {coverage_after or 0.0:.1f} %, {coverage_before:.1f} % before")
+    return reasons
 
 
 def _by_identity(rows: Iterable[Row]) -> dict[Identity, Row]:
@@ -269,7 +269,7 @@ def _value(row: Row, metric: str) -> float | None:
     """Return the magnitude of a metric of a run: ∞ for a failed run, None if it has no value."""
     if row.status != "ok":
         return math.inf
-    value = getattr(row, metric)
+    value = row[metric]
     return None if value is None or math.isnan(value) else abs(value)
 
 
@@ -326,7 +326,7 @@ def _wilcoxon_p(logs: Array) -> float:
 
 def _coverage(rows: Sequence[Row]) -> float | None:
     """Return the mean coverage, in which failed runs count as zero; None if no successful run has a coverage."""
-    known = [row.coverage_percent for row in rows if row.status == "ok" and row.coverage_percent is not None]
+    known = known_values([row for row in rows if row.status == "ok"], "coverage_percent")
     failed = sum(row.status != "ok" for row in rows)
     return sum(known) / (len(known) + failed) if known else None
 

@@ -1,12 +1,12 @@
 """The results of an estimator with a map: the map, and the trajectories that it corrects, scored apart."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.eval.metrics import IDENTITY, Alignment, ScoredTrajectory, score_trajectory
+from dronevio.eval.metrics import IDENTITY, Alignment, ScoredTrajectory, Scores, score_trajectory
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.imu import Times
 from dronevio.models.protocols import Recording
@@ -43,18 +43,38 @@ class MapResults:
         return IDENTITY if self.scored_final is None else self.scored_final.alignment
 
     @property
-    def values(self) -> dict[str, object]:
-        """Size of the map and the scores of both trajectories, for ``report.json``."""
+    def summary(self) -> "MapSummary":
+        """Size of the map and the scores of both trajectories."""
         rejected = int(self.map.rejected.sum())
-        return {
-            "keyframes": len(self.map.t_ns),
-            "points": len(self.map.points),
-            "loops": len(self.map.loops) - rejected,
-            "rejected_loops": rejected,
-            "adjustment": self.map.adjustment or None,
-            "online": None if self.scored_online is None else asdict(self.scored_online.scores),
-            "final": None if self.scored_final is None else asdict(self.scored_final.scores),
-        }
+        return MapSummary(
+            keyframes=len(self.map.t_ns),
+            points=len(self.map.points),
+            loops=len(self.map.loops) - rejected,
+            rejected_loops=rejected,
+            adjustment=self.map.adjustment or None,
+            online=None if self.scored_online is None else self.scored_online.scores,
+            final=None if self.scored_final is None else self.scored_final.scores,
+        )
+
+
+@dataclass(frozen=True)
+class MapSummary:
+    """Size of a map and the scores of the trajectories that it corrects."""
+
+    keyframes: int
+    """Number of keyframes of the map."""
+    points: int
+    """Number of points of the map."""
+    loops: int
+    """Number of accepted loops."""
+    rejected_loops: int
+    """Number of loops that contradict the others."""
+    adjustment: str | None
+    """What determined the scale of the bundle adjustment, or why its result is not used; None without one."""
+    online: Scores | None
+    """Scores of the poses as corrected at their frames; None without ground truth."""
+    final: Scores | None
+    """Scores of the poses as corrected by the final map; None without ground truth."""
 
 
 def map_results(run: EstimatorRun, recording: Recording) -> MapResults | None:

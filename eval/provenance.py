@@ -12,13 +12,13 @@ PACKAGES = ("dronevio", "gtsam", "mujoco", "opencv-python-headless", "numpy", "r
 
 def versions_here() -> dict[str, str]:
     """Return the versions of Python and of the installed ones of `PACKAGES`."""
-    found = {"python": platform.python_version()}
+    versions = {"python": platform.python_version()}
     for package in PACKAGES:
         try:
-            found[package] = version(package)
+            versions[package] = version(package)
         except PackageNotFoundError:
             continue
-    return found
+    return versions
 
 
 def machine_here() -> dict[str, str]:

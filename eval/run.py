@@ -110,8 +110,8 @@ class EstimatorRun:
     @property
     def imu_outliers(self) -> int:
         """Number of IMU samples that the estimator has left out as outliers."""
-        found = (_OUTLIERS.match(text) for estimate in self.estimates for text in estimate.events)
-        return sum(int(match[1]) for match in found if match)
+        matches = (_OUTLIERS.match(text) for estimate in self.estimates for text in estimate.events)
+        return sum(int(match[1]) for match in matches if match)
 
     @property
     def innovations(self) -> "Innovations | None":
@@ -164,8 +164,8 @@ def map_trajectory_of(estimates: Sequence[Estimate]) -> Trajectory:
 
     The covariance of the pose in the map is that of the map; those of velocity and biases are the odometry's.
     """
-    found = [e for e in estimates if e.health in POSE_IS_VALID and e.state is not None and e.T_map_imu is not None]
-    return Trajectory.from_states(map_state(estimate) for estimate in found)
+    mapped = [e for e in estimates if e.health in POSE_IS_VALID and e.state is not None and e.T_map_imu is not None]
+    return Trajectory.from_states(map_state(estimate) for estimate in mapped)
 
 
 def map_state(estimate: Estimate) -> NavState:

@@ -108,13 +108,13 @@ class DefectCount:
 
 def count_defects(defects: Sequence[Defect]) -> tuple[DefectCount, ...]:
     """Return the number and the first occurrence of each kind of defect, in the order of `DefectKind`."""
-    found: list[DefectCount] = []
+    counts: list[DefectCount] = []
     for kind in DefectKind:
         mine = [defect for defect in defects if defect.kind is kind]
         if mine:
             first = min(mine, key=lambda defect: defect.t_ns)
-            found.append(DefectCount(kind, len(mine), first.description))
-    return tuple(found)
+            counts.append(DefectCount(kind, len(mine), first.description))
+    return tuple(counts)
 
 
 def defect_values(defects: Sequence[Defect]) -> dict[str, object]:
@@ -145,5 +145,5 @@ def refuse_defects(path: Path | str, defects: Sequence[Defect]) -> None:
 
 def defects_of(recording: object) -> tuple[Defect, ...]:
     """Return the defects that were found when a recording was opened; none for one that does not list them."""
-    found: tuple[Defect, ...] = getattr(recording, "defects", ())
-    return found
+    defects: tuple[Defect, ...] = getattr(recording, "defects", ())
+    return defects

@@ -170,8 +170,8 @@ def _number_fields(settings: Any) -> tuple[NumberField, ...]:
     # An annotation that is the name of a class as a string is a group of settings, possibly not imported yet.
     groups = {f.type: object for f in fields(settings) if isinstance(f.type, str) and f.type[:1].isupper()}
     hints = get_type_hints(settings, localns=groups, include_extras=True)
-    found = (_number_field(field.name, hints[field.name]) for field in fields(settings))
-    return tuple(field for field in found if field is not None)
+    numbers = (_number_field(field.name, hints[field.name]) for field in fields(settings))
+    return tuple(number for number in numbers if number is not None)
 
 
 def _number_field(name: str, hint: Any) -> NumberField | None:

@@ -53,7 +53,7 @@ class RayCaster:
         """
         fine = np.isfinite(bearings).all(axis=1)
         count = int(fine.sum())
-        found = np.full((len(Ts_world_cam), len(bearings)), np.nan)
+        ranges = np.full((len(Ts_world_cam), len(bearings)), np.nan)
         distance, geom = np.empty(count), np.empty(count, np.int32)
         for row, T_world_cam in enumerate(Ts_world_cam):
             rays = np.ascontiguousarray(bearings[fine] @ T_world_cam[:3, :3].T).ravel()
@@ -61,5 +61,5 @@ class RayCaster:
             mujoco.mj_multiRay(
                 self._model, self._data, origin, rays, self._groups, True, -1, geom, distance, None, count, farthest_m
             )
-            found[row, fine] = np.where((geom >= 0) & (distance <= farthest_m), distance, np.inf)
-        return found
+            ranges[row, fine] = np.where((geom >= 0) & (distance <= farthest_m), distance, np.inf)
+        return ranges

@@ -36,7 +36,7 @@ _ESTIMATION_CODE = tuple(
         "eval/metrics",
         "eval/run.py",
         "eval/tracking.py",
-        "eval/benchmark/columns.py",
+        "eval/benchmark/metrics.py",
         "driver.py",
         "excerpts.py",
         "external_program.py",
@@ -52,8 +52,8 @@ _PACKAGES = (*_RENDERING_PACKAGES, "python", "gtsam")
 
 def versions() -> str:
     """Return the versions of the packages and the hash of our code, on which rows depend besides settings."""
-    found = versions_here()
-    packages = [f"{name} {found[name]}" for name in _PACKAGES if name in found]
+    installed = versions_here()
+    packages = [f"{name} {installed[name]}" for name in _PACKAGES if name in installed]
     return ", ".join([*packages, f"code {code_hash(*_RENDERING_CODE, *_ESTIMATION_CODE)}"])
 
 
@@ -86,10 +86,9 @@ class Workbench:
 
     def estimate(self, spec: RecordingSpec, recording: Path, estimator: str) -> dict[str, Any]:
         """Run an estimator on a recording and score its estimate."""
-        from dronevio.eval.benchmark.columns import map_columns, revisit_columns, scored_columns
         from dronevio.eval.benchmark.isolation import peak_memory_mb
+        from dronevio.eval.benchmark.metrics import EvaluatedRun, RunCost, run_columns
         from dronevio.eval.metrics.scores import score_trajectory
-        from dronevio.eval.tracking import longest_loss_s, tracking_sigmas
         from dronevio.models.recordings.open import open_recording
         from dronevio.recording.excerpts import excerpt_of
 
@@ -99,28 +98,21 @@ class Workbench:
         if truth is None:
             raise InputError(recording, "no ground truth", "a recording with the true motion")
         estimated = self._named(estimator).run(recording, self.strict, spec.start_s, spec.laps)
-        run, cost = estimated.run, estimated.map_cost
+        run, map_cost = estimated.run, estimated.map_cost
         scored = score_trajectory(truth, estimated.trajectory, frames)
-        peak_mb = peak_memory_mb()  # before the revisits are found, which is not the work of the estimator
+        cost = RunCost(
+            estimated.cpu_ms_mean,
+            estimated.cpu_ms_p99,
+            estimated.real_time_factor,
+            peak_memory_mb(),  # before the revisits are found, which is not the work of the estimator
+            None if map_cost is None else map_cost.worker_cpu_ms_per_frame,
+            None if map_cost is None else map_cost.results,
+            None if map_cost is None else map_cost.waits,
+        )
         is_whole = not spec.start_s and spec.laps == 1
         revisits = _revisits(recording, None if run is None else run.map) if is_whole else None
-        return {
-            **scored_columns(truth, scored, frames),
-            **({} if revisits is None else revisit_columns(scored, revisits, int(frames[0]))),
-            **({} if run is None else map_columns(truth, run, frames, revisits, opened.rig.cameras[0])),
-            "duration_s": float(np.ptp(frames)) * 1e-9,
-            "cpu_ms_mean": estimated.cpu_ms_mean,
-            "cpu_ms_p99": estimated.cpu_ms_p99,
-            "cpu_growth": None if run is None else run.cpu_growth,
-            "real_time_factor": estimated.real_time_factor,
-            "defects": defects_text(estimated.defects),
-            "longest_loss_s": None if run is None else longest_loss_s(run),
-            "tracking_sigmas": None if run is None else tracking_sigmas(run, truth),
-            "peak_mb": peak_mb,
-            "worker_cpu_ms": None if cost is None else cost.worker_cpu_ms_per_frame,
-            "map_results": None if cost is None else cost.results,
-            "map_waits": None if cost is None else cost.waits,
-        }
+        evaluated = EvaluatedRun(scored, cost, opened.rig.cameras[0], run, revisits)
+        return {**run_columns(evaluated), "defects": defects_text(estimated.defects)}
 
     def _named(self, label: str) -> NamedEstimator:
         return next(estimator for estimator in self.estimators if estimator.label == label)
@@ -164,8 +156,8 @@ def scenario_flights(
     """
     from dronevio.sim.scenarios import SUITES, scenario_named
 
-    found = {name: scenario_named(name) for given in names for name in SUITES.get(given, (given,))}
-    unique = {flown.name: flown for flown in found.values()}
+    scenarios = {name: scenario_named(name) for given in names for name in SUITES.get(given, (given,))}
+    unique = {flown.name: flown for flown in scenarios.values()}
     if rig is not None:
         from dronevio.recording.recorder import rig_of
 

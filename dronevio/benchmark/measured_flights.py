@@ -102,7 +102,7 @@ def measured_flights(names: Iterable[str], rig: Rig | None = None) -> tuple[tupl
     names = tuple(names)
     chosen = dict.fromkeys(known for name in names if (known := measured_name(name)))
     flights = dict.fromkeys((*chosen, *(MEASURED if SUITE in names else ())))
-    data, found, missing = os.environ.get(DATA_VARIABLE), [], {}
+    data, available, missing = os.environ.get(DATA_VARIABLE), [], {}
     for flight in (MEASURED[name] for name in flights):
         located = replace(flight, folder=Path(data or "").absolute() / "euroc" / flight.flight, rig=rig or flight.rig)
         if not data:
@@ -112,9 +112,9 @@ def measured_flights(names: Iterable[str], rig: Rig | None = None) -> tuple[tupl
         elif not np.array_equal(located.rig.T_vehicle_imu[:3, :3], flight.rig.T_vehicle_imu[:3, :3]):
             missing[flight.name] = "a rig whose IMU is not mounted as EuRoC's; expected one such as euroc-stereo"
         else:
-            found.append(located)
+            available.append(located)
     for name in chosen:
         if name in missing:
             raise ConfigError(f"{name} cannot be flown: {missing[name]}")
     left_out = f"suite {SUITE} without {', '.join(missing)}: {next(iter(missing.values()))}" if missing else ""
-    return tuple(found), left_out
+    return tuple(available), left_out

@@ -109,14 +109,14 @@ def variant_of(flown: "Scenario", name: str) -> "Scenario":
     order, chosen = list(VARIANTS), dict[str, str]()
     for part in name.split(VARIANT_SIGN):
         key, equals, value = part.partition("=")
-        found = f"{key}{equals}"
-        if found not in VARIANTS:
+        prefix = f"{key}{equals}"
+        if prefix not in VARIANTS:
             expected = ", ".join((AS_IS, *(f"{each}…" if each.endswith("=") else each for each in order)))
             raise ConfigError(f"unknown variant {part!r}; expected one of {expected}")
-        if rival := next((each for each in chosen if VARIANTS[each].kind == VARIANTS[found].kind), None):
+        if rival := next((each for each in chosen if VARIANTS[each].kind == VARIANTS[prefix].kind), None):
             raise ConfigError(f"variant {name!r} with {rival}{chosen[rival]} and {part}; expected one of them")
-        chosen[found] = value
-    for found in sorted(chosen, key=order.index):
-        changed = VARIANTS[found].change(flown, chosen[found])
-        flown = replace(changed, name=f"{flown.name}{VARIANT_SIGN}{found}{chosen[found]}")
+        chosen[prefix] = value
+    for prefix in sorted(chosen, key=order.index):
+        changed = VARIANTS[prefix].change(flown, chosen[prefix])
+        flown = replace(changed, name=f"{flown.name}{VARIANT_SIGN}{prefix}{chosen[prefix]}")
     return flown

@@ -35,10 +35,10 @@ def registry(command: type, defaults: Mapping[str, object], with_settings: bool)
         defaults: Values of fields of the command that replace the defaults of the dataclass.
         with_settings: Whether groups of settings become options.
     """
-    found = ConstructorRegistry()
+    constructors = ConstructorRegistry()
     tables = _option_tables(command, with_settings)
 
-    @found.struct_rule
+    @constructors.struct_rule
     def dataclass_rule(info: StructTypeInfo) -> StructConstructorSpec | None:
         if not dataclasses.is_dataclass(info.type):
             return None
@@ -58,7 +58,7 @@ def registry(command: type, defaults: Mapping[str, object], with_settings: bool)
         ]
         return StructConstructorSpec(info.type, tuple(fields))
 
-    return found
+    return constructors
 
 
 def _option_tables(command: type, with_settings: bool) -> dict[type, OptionTable]:
@@ -99,21 +99,21 @@ def _option_text(owner: type, name: str, when: str) -> str:
 
 def settings_groups(command: type) -> dict[str, str]:
     """Return the groups of settings of a command: the prefix of their options, and what they are."""
-    found: dict[str, str] = {}
+    groups: dict[str, str] = {}
     hints = field_types(command, with_settings=False)
     for field in dataclasses.fields(command):
         kind = _without_annotation(hints[field.name])
         if _is_group(field, hints[field.name]):
-            found[field.name.replace("_", "-")] = help_text(command, field.name) or ""
+            groups[field.name.replace("_", "-")] = help_text(command, field.name) or ""
         elif dataclasses.is_dataclass(kind):
             assert isinstance(kind, type)
             table = field.metadata.get(OPTIONS)
-            found |= {
+            groups |= {
                 name: text
                 for name, text in settings_groups(kind).items()
                 if table is None or any(option.startswith(f"{name}.") for option in table)
             }
-    return found
+    return groups
 
 
 def _is_group(field: dataclasses.Field[Any], hint: Any) -> bool:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib
+from functools import cache
 from typing import Any, get_type_hints
 
 
@@ -23,11 +24,12 @@ class ImportedSettings:
 
     def imported(self) -> type:
         """Return the class."""
-        found = getattr(importlib.import_module(self.module), self.name)
-        assert isinstance(found, type)
-        return found
+        kind = getattr(importlib.import_module(self.module), self.name)
+        assert isinstance(kind, type)
+        return kind
 
 
+@cache
 def field_types(kind: type, with_settings: bool) -> dict[str, Any]:
     """Return the types of the fields of a dataclass, with what `typing.Annotated` adds to them.
 

@@ -79,9 +79,9 @@ class RecordingOptions(Settings):
 
             assert isinstance(recording, VideoRecording)  # others refuse the option
             recording = with_estimated_rotation(recording)
-        found = len(recording.rig.cameras)
-        if self.cameras is not None and found < self.cameras:
-            raise ConfigError(f"--cameras {self.cameras}: {path} has {found}; expected {found} or fewer")
+        present = len(recording.rig.cameras)
+        if self.cameras is not None and present < self.cameras:
+            raise ConfigError(f"--cameras {self.cameras}: {path} has {present}; expected {present} or fewer")
         return recording
 
 

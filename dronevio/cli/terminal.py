@@ -22,7 +22,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.ranges import RangeError
 
 if TYPE_CHECKING:
-    from dronevio.eval.run import EstimatorRun
+    from dronevio.eval.run import EstimatorRun, Innovations
     from dronevio.models.defects import Defect
 
 Command = TypeVar("Command")
@@ -179,19 +179,18 @@ def print_values(title: str, rows: Sequence[tuple[str, str, str]]) -> None:
     print_table(title, ("", "value", "unit"), rows, left=("unit",))
 
 
-def innovation_rows(innovations: Mapping[str, float] | None) -> list[tuple[str, float | None, str, str]]:
-    """Return names, values, formats and units of the agreement of images and predictions.
-
-    Args:
-        innovations: The fields of `Innovations`; None if there are no innovations.
-    """
-    values = innovations or {}
-    return [
-        ("innovation, median over frames", values.get("median_px"), ".2f", "px"),
-        ("innovation, 95th percentile", values.get("p95_px"), ".2f", "px"),
-        ("NIS of innovations, median (1 expected)", values.get("median_nis"), ".2f", ""),
-        ("NIS of innovations, 95th percentile", values.get("p95_nis"), ".2f", ""),
-    ]
+def innovation_rows(innovations: "Innovations | None") -> list[tuple[str, float | None, str, str]]:
+    """Return names, values, formats and units of the agreement of images and predictions."""
+    values: tuple[float | None, ...] = (None,) * 4
+    if innovations is not None:
+        values = innovations.median_px, innovations.p95_px, innovations.median_nis, innovations.p95_nis
+    labels = (
+        ("innovation, median over frames", "px"),
+        ("innovation, 95th percentile", "px"),
+        ("NIS of innovations, median (1 expected)", ""),
+        ("NIS of innovations, 95th percentile", ""),
+    )
+    return [(label, value, ".2f", unit) for (label, unit), value in zip(labels, values, strict=True)]
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[str] = ()) -> None:

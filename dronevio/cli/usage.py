@@ -49,9 +49,9 @@ def range_message(error: RangeError, command: type, arguments: Sequence[str]) ->
         arguments: The words after the command's name; of several options for such a field, those in them count.
     """
     fields = [each for each in named_fields(command) if each.owner is error.settings and each.path[-1] == error.field]
-    found = [f"--{each.name}" if each.is_option else f"--set {each.name}" for each in fields]
+    matching = [f"--{each.name}" if each.is_option else f"--set {each.name}" for each in fields]
     given = {word.partition("=")[0].replace("_", "-") for word in arguments}
-    names = [name for name in found if name in given] or found
+    names = [name for name in matching if name in given] or matching
     return f"{' or '.join(names)} {error.problem}" if names else str(error)
 
 

@@ -61,12 +61,12 @@ class PythonEstimator:
                 f"estimator {self}: cannot import {self.module}: {reason}; expected a module that is installed or is in"
                 f" {Path.cwd()}"
             ) from error
-        found = getattr(module, self.name, None)
-        if not callable(found):
+        factory = getattr(module, self.name, None)
+        if not callable(factory):
             raise ConfigError(f"estimator {self}: {self.module} has no class {self.name}")
-        if isinstance(found, type):
-            self._require_methods(found)
-        make: Callable[[Rig], Estimator] = found
+        if isinstance(factory, type):
+            self._require_methods(factory)
+        make: Callable[[Rig], Estimator] = factory
         return make
 
     def make(self, rig: Rig) -> Estimator:
@@ -94,13 +94,13 @@ class PythonEstimator:
             return code_hash(*map(Path, spec.submodule_search_locations))
         return code_hash(Path(spec.origin)) if spec.origin and Path(spec.origin).is_file() else ""
 
-    def _require_methods(self, found: object) -> None:
+    def _require_methods(self, estimator: object) -> None:
         """Check that a class or an object has the methods of an estimator.
 
         Raises:
             ConfigError: It lacks one.
         """
-        missing = [method for method in METHODS if not callable(getattr(found, method, None))]
+        missing = [method for method in METHODS if not callable(getattr(estimator, method, None))]
         if missing:
             raise ConfigError(f"estimator {self} without {' and '.join(missing)}; expected the methods of Estimator")
 

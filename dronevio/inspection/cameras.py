@@ -195,26 +195,26 @@ def _medians(appearance: Sequence[Appearance]) -> list[float]:
 def _repeated(measured: Measured) -> Finding:
     """Return whether images are repeated while the vehicle turns."""
     sample = measured.sample
-    found: list[tuple[int, int]] = []
+    repeats: list[tuple[int, int]] = []
     for camera, times in enumerate(sample.repeated):
         t_ns = np.array(times, dtype=np.int64)
         if not len(t_ns):
             continue
-        found += [(camera, t) for t in t_ns[_turns(measured, t_ns)].tolist()]
-    most = max((sum(camera == k for camera, _ in found) for k in range(len(sample.repeated))), default=0)
+        repeats += [(camera, t) for t in t_ns[_turns(measured, t_ns)].tolist()]
+    most = max((sum(camera == k for camera, _ in repeats) for k in range(len(sample.repeated))), default=0)
     share = most / max(sample.compared, 1)
-    at_rest = sum(map(len, sample.repeated)) - len(found)
-    verdict = Verdict.GOOD if not found else graded(share, 0.0, SUSPECT_REPEATED)
-    start_s = (min(t for _, t in found) - int(measured.recording.frame_times_ns[0])) * 1e-9 if found else 0.0
+    at_rest = sum(map(len, sample.repeated)) - len(repeats)
+    verdict = Verdict.GOOD if not repeats else graded(share, 0.0, SUSPECT_REPEATED)
+    start_s = (min(t for _, t in repeats) - int(measured.recording.frame_times_ns[0])) * 1e-9 if repeats else 0.0
     text = f"{100 * share:.0f} % of the images equal the one before while the drone turns, from {start_s:.1f} s on"
     return Finding(
         Topic.CAMERAS,
         "repeated images",
         share,
         verdict,
-        text if found else "none" + (f" while the drone turns; {at_rest} at rest" if at_rest else ""),
+        text if repeats else "none" + (f" while the drone turns; {at_rest} at rest" if at_rest else ""),
         "none: the noise of a camera makes each image differ from the one before",
-        "" if not found else "look for a driver that hands out the last image again, or a video at twice its rate",
+        "" if not repeats else "look for a driver that hands out the last image again, or a video at twice its rate",
     )
 
 

@@ -69,12 +69,12 @@ def flow_between(
     if first.shape != second.shape:  # OpenCV tracks between images of one size
         return Flow(t_ns, len(corners), (np.zeros((0, 2)),) * 2, (np.zeros((0, 3)),) * 2)
     source = klt.match_brightness(first, second)
-    matched, found = klt.track(source, second, corners, corners, WINDOW_PX, LEVELS)
+    matched, is_tracked = klt.track(source, second, corners, corners, WINDOW_PX, LEVELS)
     back, returned = klt.track(second, source, matched, corners, WINDOW_PX, 0)
-    found &= returned & (np.linalg.norm(back - corners, axis=1) < MAX_BACKWARD_PX)
+    is_tracked &= returned & (np.linalg.norm(back - corners, axis=1) < MAX_BACKWARD_PX)
     f0, f1 = model.unproject(corners), (other or model).unproject(matched)
-    found &= (f0[:, 2] > MIN_FORWARD) & (f1[:, 2] > MIN_FORWARD)
-    return Flow(t_ns, len(corners), (corners[found], matched[found]), (f0[found], f1[found]))
+    is_tracked &= (f0[:, 2] > MIN_FORWARD) & (f1[:, 2] > MIN_FORWARD)
+    return Flow(t_ns, len(corners), (corners[is_tracked], matched[is_tracked]), (f0[is_tracked], f1[is_tracked]))
 
 
 def rotation_of(flow: Flow) -> Array:

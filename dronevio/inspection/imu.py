@@ -160,19 +160,19 @@ def _clipping(imu: ImuSamples) -> Finding:
 def _outliers(measured: Measured) -> Finding:
     """Return whether single readings are impossible."""
     imu = measured.recording.imu
-    found = outlying_samples(imu, measured.recording.rig.imu)
-    share = float(found.mean())
+    is_outlier = outlying_samples(imu, measured.recording.rig.imu)
+    share = float(is_outlier.mean())
     # One of a short recording is no defect of the sensor, since the test errs, too.
     verdict = graded(share, max(MAX_OUTLIERS, 1.0 / len(imu)), 0.05)
-    times = ", ".join(f"{t:.2f} s" for t in ((imu.t_ns[found] - imu.t_ns[0]) * 1e-9)[:3].tolist())
+    times = ", ".join(f"{t:.2f} s" for t in ((imu.t_ns[is_outlier] - imu.t_ns[0]) * 1e-9)[:3].tolist())
     return Finding(
         Topic.IMU,
         "outliers",
         share,
         verdict,
-        f"{int(found.sum())} single readings that their neighbours contradict, at {times}"
-        f"{' …' if found.sum() > 3 else ''}"
-        if found.any()
+        f"{int(is_outlier.sum())} single readings that their neighbours contradict, at {times}"
+        f"{' …' if is_outlier.sum() > 3 else ''}"
+        if is_outlier.any()
         else "none",
         "none: a filtered sensor does not jump and return within a few samples",
         "" if verdict is Verdict.GOOD else "look for transfer errors on the bus; the odometry leaves the samples out",
@@ -323,8 +323,8 @@ def _noise(measured: Measured, rest: Sequence[ImuSamples], allan: AllanDeviation
         return Finding(Topic.IMU, "noise at rest", None, Verdict.UNKNOWN, text, expected)
     gyro, accel = allan.density()
     ratios = [
-        found / given
-        for found, given in ((gyro, model.gyro_noise_density), (accel, model.accel_noise_density))
+        density / given
+        for density, given in ((gyro, model.gyro_noise_density), (accel, model.accel_noise_density))
         if given
     ]
     ratio = max(ratios, default=1.0)

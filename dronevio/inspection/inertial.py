@@ -116,8 +116,8 @@ def resting(imu: ImuSamples, bias_rad_s: Array | None) -> list[tuple[int, int]]:
     still &= np.abs(np.linalg.norm(force, axis=1) - level) < 0.1 * level
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
     ends = np.append(starts[1:], len(imu)) - 1
-    found = [(int(imu.t_ns[starts[a]]), int(imu.t_ns[ends[b - 1]])) for a, b in edges.reshape(-1, 2).tolist()]
-    return [(a, b) for a, b in found if b - a >= MIN_REST_S * 1e9]
+    intervals = [(int(imu.t_ns[starts[a]]), int(imu.t_ns[ends[b - 1]])) for a, b in edges.reshape(-1, 2).tolist()]
+    return [(a, b) for a, b in intervals if b - a >= MIN_REST_S * 1e9]
 
 
 def mean_force_m_s2(imu: ImuSamples, bias_rad_s: Array) -> float:
@@ -158,15 +158,15 @@ def _levelled(imu: ImuSamples, bias_rad_s: Array) -> list[Array]:
     dt_s = np.diff(means.t_ns, prepend=means.t_ns[:1] - int(np.median(np.diff(means.t_ns)))) * 1e-9
     windows = max(1, int((means.t_ns[-1] - means.t_ns[0]) * 1e-9 / WINDOW_S))
     ends = np.searchsorted(means.t_ns, np.linspace(means.t_ns[0], means.t_ns[-1] + 1, windows + 1))
-    found = []
+    means_by_window = []
     for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         if b - a < MIN_WINDOW_SAMPLES:  # within a gap
             continue
         R = integrated_rotations((means.gyro_rad_s[a:b] - bias_rad_s) * dt_s[a:b, None])[:-1]
         products = R[:, :, :, None] * means.accel_m_s2[a:b, None, None]
         bins, counts = _parts(means.t_ns[a:b], BIN_S)
-        found.append(np.add.reduceat(products, bins, axis=0) / counts[:, None, None, None])
-    return found
+        means_by_window.append(np.add.reduceat(products, bins, axis=0) / counts[:, None, None, None])
+    return means_by_window
 
 
 def allan_deviation(imu: ImuSamples) -> AllanDeviation | None:

@@ -52,10 +52,10 @@ def inspect(recording: Recording | str | Path, *, run: bool = False, progress: S
     cv2.setNumThreads(1)  # for the same bytes in each run
     try:
         measured = measure(chosen, progress("looking"))
-        found = run_odometry(chosen, progress("estimating")) if run else None
+        odometry_run = run_odometry(chosen, progress("estimating")) if run else None
     finally:
         cv2.setNumThreads(threads)
-    return _inspection(measured, found, source)
+    return _inspection(measured, odometry_run, source)
 
 
 def _inspection(measured: Measured, run: EstimatorRun | None, source: Recording) -> Inspection:

@@ -109,8 +109,8 @@ def measure(recording: Recording, progress: Progress = silent) -> Measured:
         relation = relate(rotations, gyroscope)
     if gyroscope is not None and relation is not None:
         if relation.agreement <= BELONGS:
-            found = relate(played_backwards(rotations), gyroscope)
-            backwards = 0.0 if found is None else found.agreement
+            reverse = relate(played_backwards(rotations), gyroscope)
+            backwards = 0.0 if reverse is None else reverse.agreement
         pixel_rad = 1.0 / recording.rig.cameras[0].model.fx
         course = offset_course(rotations, gyroscope, relation)
         lens = _lens(sample.flows, rotations, recording, gyroscope, relation, course, pixel_rad)

@@ -132,8 +132,8 @@ def more_severe(*verdicts: Verdict) -> Verdict:
 
 def worst(findings: Sequence[Finding]) -> Verdict:
     """Return the worst verdict of some rows; good without any."""
-    found = {finding.verdict for finding in findings}
-    return next((each for each in (Verdict.WRONG, Verdict.SUSPECT) if each in found), Verdict.GOOD)
+    verdicts = {finding.verdict for finding in findings}
+    return next((each for each in (Verdict.WRONG, Verdict.SUSPECT) if each in verdicts), Verdict.GOOD)
 
 
 def summary_of(findings: Sequence[Finding]) -> str:

@@ -137,9 +137,10 @@ def _accuracy(truth: Trajectory, estimate: Trajectory) -> Iterator[Finding]:
     true, rows = interpolate(truth, estimate.t_ns)
     if len(true) < 10:
         return
-    found = estimate[rows]
+    estimated = estimate[rows]
     errors_m = np.linalg.norm(
-        align(true.p_world_imu, found.p_world_imu, "yaw").positions(found.p_world_imu) - true.p_world_imu, axis=1
+        align(true.p_world_imu, estimated.p_world_imu, "yaw").positions(estimated.p_world_imu) - true.p_world_imu,
+        axis=1,
     )
     ate_m, path_m = float(np.sqrt(np.mean(errors_m**2))), true.length_m
     limit_m = max(0.02 * path_m, 0.05)

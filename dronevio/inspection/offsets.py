@@ -73,12 +73,12 @@ def offset_course(rotations: Rotations, gyroscope: Gyroscope, relation: Relation
         relation: The relation over the whole recording, of which only the offset is determined anew.
     """
     count = int(np.clip(len(rotations) // SECTION_PAIRS, 1, MAX_SECTIONS))
-    found = [
+    offsets = [
         _section(rotations[rows], gyroscope, relation) for rows in np.array_split(np.arange(len(rotations)), count)
     ]
     middle_s = rotations.middle_s
     parts = [middle_s[rows].mean() for rows in np.array_split(np.arange(len(rotations)), count)]
-    sections = [(float(t), *each) for t, each in zip(parts, found, strict=True) if each is not None]
+    sections = [(float(t), *each) for t, each in zip(parts, offsets, strict=True) if each is not None]
     if len(sections) < 2 * MIN_SIDE:
         return None
     t_s, offset_s, sigma_s = np.array(sections).T

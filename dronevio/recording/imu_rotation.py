@@ -27,16 +27,18 @@ def with_estimated_rotation(recording: "VideoRecording") -> "VideoRecording":
     (camera,) = recording.rig.cameras
     level = replace(recording.rig, cameras=(replace(camera, T_imu_cam=np.eye(4)),))
     count = min(len(recording.frame_times_ns), FRAMES)
-    found = imu_rotation(tracked_rotations(map(recording.frame, range(count)), level), recording.imu)
-    if found is None or not found.is_significant:
+    rotation = imu_rotation(tracked_rotations(map(recording.frame, range(count)), level), recording.imu)
+    if rotation is None or not rotation.is_significant:
         known = "too few frames"
-        if found is not None:
-            known = f"known to {math.degrees(found.sigma_rad):.1f}°, {max(found.explained, 0.0):.0%} of it explained"
+        if rotation is not None:
+            known = (
+                f"known to {math.degrees(rotation.sigma_rad):.1f}°, {max(rotation.explained, 0.0):.0%} of it explained"
+            )
         raise InputError(
             recording.name,
             f"images that do not tell the rotation of the IMU ({known})",
             "rotation about two axes, its axes by name (--imu-rotation yxz), or T_cam_imu in the calibration",
         )
     T_imu_cam = np.eye(4)
-    T_imu_cam[:3, :3] = found.R_imu_cam
+    T_imu_cam[:3, :3] = rotation.R_imu_cam
     return replace(recording, rig=replace(recording.rig, cameras=(replace(camera, T_imu_cam=T_imu_cam),)))

@@ -6,9 +6,9 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.backend.linalg import CholeskyFactor
 from dronevio.estimator.backend.marginal_prior import POSE_DIM, STATE_DIM
 from dronevio.estimator.backend.window import Window
+from dronevio.estimator.optimization.linalg import CholeskyFactor
 from dronevio.models.rotation import adjoint
 from dronevio.models.state import NavState
 

@@ -10,6 +10,7 @@ from dronevio.estimator.backend.factors import KeyframeFactor, replaced_values, 
 from dronevio.estimator.backend.marginal_prior import POINT_DIM, POSE_DIM, STATE_DIM, KeyframeState, MarginalPrior
 from dronevio.estimator.backend.observations import Integers
 from dronevio.estimator.backend.reprojection import VisualSystem
+from dronevio.estimator.optimization.robust import cauchy_inflation, cauchy_loss
 
 Array = npt.NDArray[np.float64]
 States = Mapping[int, KeyframeState]
@@ -18,6 +19,26 @@ States = Mapping[int, KeyframeState]
 IMU_ROBUST_SIGMAS = 5.0
 """Standard deviations at which the excess of a factor's residual halves its weight, as in Cauchy's loss, because the
 IMU is unreliable after a shock, a saturation or a gap."""
+
+
+@dataclass(frozen=True, eq=False)
+class WindowEstimate:
+    """The variables of a window."""
+
+    states: States
+    """States of the keyframes."""
+    points: Array
+    """(L, 3) Positions of the landmarks in the world frame, in the order of their identities [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObservationScales:
+    """Scales of the robust loss of N observations."""
+
+    variance: Array
+    """(N,) Variances, in normalized coordinates; infinite for landmarks behind the camera."""
+    threshold2: Array
+    """(N,) Squared residuals, in units of the assumed variances, at which the weight is halved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,32 +51,64 @@ class LinearSystem:
     """(15 K + 3 P,) Right-hand side at the current estimates."""
     visual: VisualSystem
     """Normal equations of the observations, from which the eliminated landmarks are back-substituted."""
+    x: WindowEstimate
+    """The estimates at which it is linearized."""
+    contained: Integers
+    """Rows of the landmarks that `visual` contains, among all."""
+    persistent: Integers
+    """(P,) Rows of the persistent landmarks in `visual`, in the order of the prior."""
+    scales: ObservationScales
+    """Scales of the observations."""
+
+    def retract(self, delta: Array) -> WindowEstimate:
+        """Return the estimates after a step (n,), with the step of the landmarks that belongs to it."""
+        K = len(self.x.states)
+        delta_states = delta[: STATE_DIM * K].reshape(K, STATE_DIM)
+        delta_points = self.visual.back_substitute(delta_states[:, :POSE_DIM])
+        delta_points[self.persistent] = delta[STATE_DIM * K :].reshape(-1, POINT_DIM)
+        points = self.x.points.copy()
+        points[self.contained] += delta_points
+        states = {k: state.retract(d) for (k, state), d in zip(self.x.states.items(), delta_states, strict=True)}
+        return WindowEstimate(states, points)
 
 
 def linear_system(
     prior: MarginalPrior,
-    points: Mapping[int, Array],
-    states: States,
     factors: Sequence[KeyframeFactor],
     visual: VisualSystem,
-    persistent_rows: Integers,
+    x: WindowEstimate,
+    contained: Integers,
+    persistent: Integers,
+    scales: ObservationScales,
 ) -> LinearSystem:
     """Return the linear system of a prior, factors and observations.
 
     Args:
         prior: Marginal prior, whose landmarks are the persistent ones.
-        points: Current positions (3,) of the persistent landmarks by their identities [m].
-        states: Current estimates of the K keyframes.
         factors: Factors between the keyframes.
         visual: Normal equations of the observations, of all landmarks.
-        persistent_rows: (P,) Rows of the persistent landmarks in these normal equations, in the order of the prior.
+        x: Current estimates.
+        contained: Rows of the landmarks of these normal equations, among all.
+        persistent: (P,) Rows of the persistent landmarks in these normal equations, in the order of the prior.
+        scales: Scales of the observations.
     """
-    n = STATE_DIM * len(states) + POINT_DIM * len(prior.points)
+    n = STATE_DIM * len(x.states) + POINT_DIM * len(prior.points)
     H, b = np.zeros((n, n)), np.zeros(n)
-    _add_prior(H, b, prior, points, states)
-    _add_factors(H, b, factors, states, linearization_points(prior, states))
-    _add_observations(H, b, visual, persistent_rows)
-    return LinearSystem(H, b, visual)
+    points = dict(zip(prior.points, x.points[contained[persistent]], strict=True))
+    _add_prior(H, b, prior, points, x.states)
+    _add_factors(H, b, factors, x.states, linearization_points(prior, x.states))
+    _add_observations(H, b, visual, persistent)
+    return LinearSystem(H, b, visual, x, contained, persistent, scales)
+
+
+def factor_loss(squared: float, dimension: int) -> float:
+    """Return the loss of a factor's whitened squared residual: Cauchy's of its excess over the expectation.
+
+    Args:
+        squared: Squared residual.
+        dimension: Its number of components, the expectation of the square.
+    """
+    return min(squared, dimension) + float(cauchy_loss(max(squared - dimension, 0.0), IMU_ROBUST_SIGMAS**2))
 
 
 def linearization_points(prior: MarginalPrior, states: States) -> dict[int, KeyframeState]:
@@ -89,7 +142,7 @@ def _add_factors(H: Array, b: Array, factors: Sequence[KeyframeFactor], states: 
         J = np.zeros((len(r), block.stop - block.start))
         J[:, keyframe_factor.columns] = factor.linearize(values_first).jacobian()[0]
         excess = max(float(r @ r) - len(r), 0.0)  # the expectation of rᵀr is the dimension of r
-        weight = 1.0 / (1.0 + excess / IMU_ROBUST_SIGMAS**2)
+        weight = 1.0 / float(cauchy_inflation(excess, IMU_ROBUST_SIGMAS**2))
         H[block, block] += weight * (J.T @ J)
         b[block] -= weight * (J.T @ r)
 

@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.backend.linalg import schur_complement
+from dronevio.estimator.optimization.linalg import schur_complement
 
 Array = npt.NDArray[np.float64]
 

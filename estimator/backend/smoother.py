@@ -2,11 +2,12 @@
 
 Each keyframe has a pose, a velocity and biases. GTSAM's preintegrated IMU factors connect consecutive keyframes, and
 landmarks connect all keyframes that observe them. With each keyframe the whole window is optimized by Gauss-Newton: the
-landmarks are eliminated first (`reprojection`), and what remains is a small dense system (`window`). When the window is
-full, either its oldest keyframe is marginalized, with the landmarks that it observes, into a prior (`marginal_prior`);
-or, where the vehicle has hardly moved, the second-newest keyframe is dropped, so that the window keeps its old views
-and a hovering vehicle does not drift (Leutenegger et al., "Keyframe-based visual-inertial odometry using nonlinear
-optimization", IJRR 2015; Usenko et al., "Visual-inertial mapping with non-linear factor recovery", RA-L 2020).
+landmarks are eliminated first (`reprojection`), and what remains is a small dense system (`linear_system`). When the
+window is full, either its oldest keyframe is marginalized, with the landmarks that it observes, into a prior
+(`marginal_prior`); or, where the vehicle has hardly moved, the second-newest keyframe is dropped, so that the window
+keeps its old views and a hovering vehicle does not drift (Leutenegger et al., "Keyframe-based visual-inertial odometry
+using nonlinear optimization", IJRR 2015; Usenko et al., "Visual-inertial mapping with non-linear factor recovery",
+RA-L 2020).
 Landmarks that are still tracked when their first keyframe is marginalized may persist as variables of the prior.
 
 All image coordinates are normalized, so a pixel is 1/fx.
@@ -24,11 +25,13 @@ from gtsam.symbol_shorthand import B, V, X
 from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate, keyframe_estimate
 from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkDatabase, TriangulatedLandmarks
-from dronevio.estimator.backend.linalg import CholeskyFactor, SingularError
 from dronevio.estimator.backend.marginal_prior import STATE_DIM, KeyframeState
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.imu.covariance import covariance_from_gtsam, covariance_to_gtsam
 from dronevio.estimator.imu.noise import ImuVarianceComponents
+from dronevio.estimator.optimization.gauss_newton import gauss_newton
+from dronevio.estimator.optimization.levenberg_marquardt import levenberg_marquardt
+from dronevio.estimator.optimization.linalg import CholeskyFactor, SingularError
 from dronevio.estimator.types import GAUGE_SIGMA, NO_FEATURES, Calibration, Integers, Observations, common_rows
 from dronevio.models.state import NavState
 
@@ -158,13 +161,7 @@ class KeyframeSmoother:
         rejected = window.landmarks.triangulate(window.cameras, window.newest)
         predicted = window.states[window.newest]
         try:
-            for _ in range(self._config.iterations):
-                system = window.linearize()
-                solver = CholeskyFactor(system.H)
-                delta = solver.solve(system.b)
-                window.update(system, delta)
-                if system.b @ delta < self._config.max_decrement:
-                    break
+            solver = self._gauss_newton()
             self._solution = self._read_solution(solver)
             marginalizes = self._is_full and self._has_moved(parallax_px)
             imu_variance = window.oldest_imu_variance(solver) if marginalizes else None
@@ -331,10 +328,10 @@ class KeyframeSmoother:
         """Remove a keyframe if there is one too many: the second-newest if it has hardly moved, else the oldest."""
         window = self._window
         if self._is_full and self._has_moved(parallax_px):
-            window.marginalize(min(window.states), self._config.max_persistent)
             before_ns, newest_ns = sorted(self._times_ns.values())[-2:]
-            if len(self._calibration.Ts_imu_cam) > 1:
-                window.add_drift(self._config.drift_rad * np.sqrt((newest_ns - before_ns) * 1e-9))
+            is_single = len(self._calibration.Ts_imu_cam) == 1
+            drift_rad = 0.0 if is_single else self._config.drift_rad * np.sqrt((newest_ns - before_ns) * 1e-9)
+            window.marginalize(min(window.states), self._config.max_persistent, drift_rad)
         elif self._is_full:
             window.drop_keyframe(sorted(window.states)[-2])
 
@@ -361,24 +358,27 @@ class KeyframeSmoother:
         displacement = np.linalg.norm(now.xy[j] - rotated[:, :2] / rotated[:, 2:], axis=1)
         return float(np.median(displacement)) * self._focal_px
 
+    def _gauss_newton(self) -> CholeskyFactor:
+        """Optimize the window by a few steps and return the factor of the last linear system."""
+        c, window = self._config, self._window
+        step = gauss_newton(
+            window.objective,
+            window.estimate,
+            CholeskyFactor,
+            c.iterations,
+            is_last=lambda step: step.decrement < c.max_decrement,
+        )
+        window.estimate = step.x
+        return step.factor
+
     def _levenberg_marquardt(self) -> CholeskyFactor:
-        """Optimize the window by Levenberg-Marquardt and return the factor of the last linear system."""
-        window, damping = self._window, 1e-4
-        system, cost = window.linearize(), window.cost()
-        for _ in range(self._config.initial_iterations):
-            before = window.estimates
-            damped = system.H + damping * np.diag(np.diag(system.H))
-            window.update(system, CholeskyFactor(damped).solve(system.b))
-            new_cost = window.cost()
-            if new_cost < cost:
-                converged = cost - new_cost < 1e-3 * cost
-                damping, system, cost = 0.1 * damping, window.linearize(), window.cost()
-                if converged:
-                    break
-            else:
-                window.restore(before)
-                damping *= 10.0
-        return CholeskyFactor(system.H)
+        """Optimize the window by Levenberg-Marquardt and return the factor of the linear system at the minimum."""
+        window = self._window
+        minimum = levenberg_marquardt(
+            window.objective, window.estimate, CholeskyFactor, self._config.initial_iterations
+        )
+        window.estimate = minimum.x
+        return CholeskyFactor(minimum.equations.H)
 
     def _read_solution(self, solver: CholeskyFactor) -> _Solution:
         """Return the newest keyframe's state and covariance."""

@@ -241,11 +241,11 @@ def _insert_landmarks(values: gtsam.Values, observed: _Observations, last: int) 
     Ts = np.stack([values.atPose3(X(k)).matrix() for k in range(last + 1)]) @ CAMERA.T_imu_cam
     ids, starts, counts = np.unique(observed.landmark, return_index=True, return_counts=True)
     T = Ts[observed.keyframe]
-    found = triangulate(starts, T[:, :3, :3], T[:, :3, 3], observed.xy)
-    good = found.in_front & (found.parallax_rad > MIN_PARALLAX_RAD) & (counts >= MIN_OBSERVATIONS)
+    triangulation = triangulate(starts, T[:, :3, :3], T[:, :3, 3], observed.xy)
+    good = triangulation.in_front & (triangulation.parallax_rad > MIN_PARALLAX_RAD) & (counts >= MIN_OBSERVATIONS)
     for i in np.flatnonzero(good).tolist():
         if not values.exists(L(int(ids[i]))):
-            values.insert(L(int(ids[i])), found.points[i])
+            values.insert(L(int(ids[i])), triangulation.points[i])
     return observed.of(np.array([i for i in ids.tolist() if values.exists(L(i))], dtype=np.int64))
 
 

@@ -73,23 +73,11 @@ class CalibrationConfig(Settings):
     max_correction_sigmas: Annotated[float, Range(above=0.0, infinite=True)] = 5.0
     """Largest plausible correction of a parameter, in standard deviations of its prior: 5.7° of a rotation. After a
     larger one, which shows that images and calibration do not belong together, the health is not tracking again."""
-    inflation_sigmas: Annotated[FiveSigmas, Range(0.0, 10.0)] = (
-        0.01,
-        0.02,
-        0.1,
-        0.005,
-        0.15,
-    )
+    inflation_sigmas: Annotated[FiveSigmas, Range(0.0, 10.0)] = (0.01, 0.02, 0.1, 0.005, 0.15)
     """Standard deviations of the error that a wrong calibration leaves in the state when it is corrected: orientation
     [rad], position [m], velocity [m/s], gyroscope bias [rad/s] and accelerometer bias [m/s²]. They correspond to a
     rotation of one degree or a time offset of 5 ms, and are proportional to smaller corrections."""
-    gravity_inflation_sigmas: Annotated[FiveSigmas, Range(0.0, 10.0)] = (
-        0.001,
-        0.002,
-        0.01,
-        0.0,
-        0.03,
-    )
+    gravity_inflation_sigmas: Annotated[FiveSigmas, Range(0.0, 10.0)] = (0.001, 0.002, 0.01, 0.0, 0.03)
     """Those that wrong gravity leaves. The accelerometer bias compensates most of it."""
     adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
     """Settings of the adjustment of the windows."""

@@ -1,9 +1,12 @@
 """Corrections of a rig's calibration and of gravity, as a vector and as text."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+
+from dronevio.estimator.types import Calibration
+from dronevio.models.rotation import exp_so3, pose_matrix
 
 Array = npt.NDArray[np.float64]
 
@@ -40,6 +43,15 @@ class Corrections:
         """Return the corrections of a vector (2 + 10 C,) of parameters."""
         rows = x[COMMON_PARAMETERS:].reshape(-1, PARAMETERS_PER_CAMERA)
         return cls(float(x[0]), float(x[GRAVITY]), rows[:, 0:3], rows[:, 3:6], rows[:, 6:8], rows[:, 8:10])
+
+    def applied_to(self, given: Calibration) -> Calibration:
+        """Return a given calibration with the corrections applied."""
+        Ts = given.Ts_imu_cam @ pose_matrix(exp_so3(self.rotation_rad), np.zeros_like(self.translation_m))
+        Ts[:, :3, 3] += self.translation_m
+        cameras = (replace(camera, T_imu_cam=T) for camera, T in zip(given.rig.cameras, Ts, strict=True))
+        rig, has_intrinsics = replace(given.rig, cameras=tuple(cameras)), self.focal.any() or self.principal.any()
+        focal, principal = (self.focal, self.principal) if has_intrinsics else (None, None)
+        return Calibration(rig, self.time_offset_s, focal, principal, self.gravity_m_s2)
 
     def __str__(self) -> str:
         """Return the corrections that are not zero as text, or "none"."""

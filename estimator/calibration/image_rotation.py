@@ -68,16 +68,12 @@ class RelativeRotations:
 
     def __getitem__(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.int64]) -> "RelativeRotations":
         """Return some of the pairs."""
-        return RelativeRotations(self.start_ns[rows], self.end_ns[rows], self.rotation_rad[rows], self.sigma_rad[rows])
+        return RelativeRotations(*(values[rows] for values in vars(self).values()))
 
     def joined(self, later: "RelativeRotations") -> "RelativeRotations":
         """Return these pairs followed by others."""
-        return RelativeRotations(
-            np.concatenate([self.start_ns, later.start_ns]),
-            np.concatenate([self.end_ns, later.end_ns]),
-            np.concatenate([self.rotation_rad, later.rotation_rad]),
-            np.concatenate([self.sigma_rad, later.sigma_rad]),
-        )
+        pairs = zip(vars(self).values(), vars(later).values(), strict=True)
+        return RelativeRotations(*(np.concatenate(pair) for pair in pairs))
 
     @property
     def span_s(self) -> Array:
@@ -178,13 +174,13 @@ def _refined(first: Array, second: Array, R: Array, weights: Array) -> tuple[Arr
     H, scale = np.eye(5), np.inf
     for _ in range(ITERATIONS):
         turned = second @ R.T
-        across, across_too = np.cross(t, first), np.cross(t, turned)
-        length = np.sqrt(0.5 * ((across**2).sum(axis=1) + (across_too**2).sum(axis=1)) + MIN_SINE**2)
+        across_first, across_second = np.cross(t, first), np.cross(t, turned)
+        length = np.sqrt(0.5 * ((across_first**2).sum(axis=1) + (across_second**2).sum(axis=1)) + MIN_SINE**2)
         normals = np.cross(first, turned) / length[:, None]
         residual = normals @ t
         tangents = np.linalg.svd(t[None])[2][1:].T
         # By a rotation of the second view, n = f × Exp(δ) R g: ∂(t·n)/∂δ = −(t × f) × R g
-        by_rotation = -np.cross(across, turned) / length[:, None]
+        by_rotation = -np.cross(across_first, turned) / length[:, None]
         J = np.column_stack([by_rotation, normals @ tangents])
         scale = max(1.4826 * float(np.median(np.abs(residual))), _MIN_SCALE_RAD)
         weights = 1.0 / (1.0 + (residual / (2.0 * scale)) ** 2) ** 2

@@ -60,13 +60,13 @@ def imu_rotation(measured: RelativeRotations, imu: ImuSamples, max_offset_s: flo
     if usable.sum() < MIN_PAIRS:
         return None
     pairs, start_s, end_s = measured[usable], start_s[usable], end_s[usable]
-    found: list[ImuRotation] = []
+    candidates: list[ImuRotation] = []
     steps = int(np.ceil(max_offset_s / GRID_S))
     for offset_s in (GRID_S * np.arange(-steps, steps + 1)).tolist():
         at_end, at_start = (_at(t_s, angle, times + offset_s) for times in (end_s, start_s))
         R, sigma_rad, explained = _aligned(at_end - at_start, pairs)
-        found.append(ImuRotation(R, offset_s, sigma_rad, explained))
-    return max(found, key=lambda each: each.explained)
+        candidates.append(ImuRotation(R, offset_s, sigma_rad, explained))
+    return max(candidates, key=lambda candidate: candidate.explained)
 
 
 def _integral(imu: ImuSamples) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ offsets (`rotation_offset`), which needs no estimate.
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.calibration.image_rotation import NO_ROTATIONS, RelativeRotations, image_rotations
+from dronevio.estimator.calibration.image_rotation import NO_ROTATIONS, image_rotations
 from dronevio.estimator.calibration.rotation_offset import RotationOffset, rotation_offset
 from dronevio.estimator.imu.buffer import joined
 from dronevio.estimator.types import FramePacket
@@ -38,9 +38,8 @@ class OffsetSearch:
     def __init__(self) -> None:
         """Begin without frames."""
         self._packets: tuple[FramePacket, ...] = ()
-        self._rotations: RelativeRotations = NO_ROTATIONS
-        self._rotated_ns: int | None = None  # the rotations are known up to this frame
-        self._searched_ns: int | None = None
+        self._rotations = NO_ROTATIONS
+        self._searched_ns: int | None = None  # the rotations up to this frame are known
 
     def add(self, packet: FramePacket) -> None:
         """Add the next frame."""
@@ -56,28 +55,23 @@ class OffsetSearch:
             Ts_imu_cam: (C, 4, 4) Poses of the cameras in the IMU frame.
             at_once: Whether the offset is searched for, however soon after the last time.
         """
-        span_s = (self._packets[-1].t_ns - self._packets[0].t_ns) * 1e-9 if self._packets else 0.0
+        packets, last_ns = self._packets, self._searched_ns
+        span_s = (packets[-1].t_ns - packets[0].t_ns) * 1e-9 if packets else 0.0
         range_s = min(MAX_OFFSET_S, 0.5 * (span_s - WINDOW_S))
         if range_s < MIN_RANGE_S:
             return None
-        now_ns, last_ns = self._packets[-1].t_ns, self._searched_ns
+        now_ns = packets[-1].t_ns
         if not at_once and last_ns is not None and (now_ns - last_ns) * 1e-9 < INTERVAL_S:
             return None
-        self._searched_ns = now_ns
-        imu = _samples(self._packets)
-        found = rotation_offset(self._image_rotations(Ts_imu_cam), imu, range_s) if len(imu) > 1 else None
-        if found is None or not found.excludes_zero or abs(found.offset_s) < MIN_OFFSET_S:
-            return None
-        return found
-
-    def _image_rotations(self, Ts_imu_cam: Array) -> RelativeRotations:
-        """Return the rotations between the frames; only those that are new are computed."""
-        known, packets = self._rotations, self._packets
+        # The rotations between frames; only those that are new are computed
         times_ns, features = [p.t_ns for p in packets], [p.observations for p in packets]
-        added = image_rotations(times_ns, features, Ts_imu_cam, self._rotated_ns)
-        kept = known[known.start_ns >= self._packets[0].t_ns]
-        self._rotations, self._rotated_ns = kept.joined(added), self._packets[-1].t_ns
-        return self._rotations
+        added = image_rotations(times_ns, features, Ts_imu_cam, last_ns)
+        self._rotations = self._rotations[self._rotations.start_ns >= packets[0].t_ns].joined(added)
+        self._searched_ns = now_ns
+        # The offset that explains them best
+        imu = _samples(packets)
+        best = rotation_offset(self._rotations, imu, range_s) if len(imu) > 1 else None
+        return best if best is not None and best.excludes_zero and abs(best.offset_s) >= MIN_OFFSET_S else None
 
 
 def _samples(packets: tuple[FramePacket, ...]) -> ImuSamples:

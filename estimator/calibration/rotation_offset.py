@@ -49,11 +49,9 @@ class RotationOffset:
     explained: float
     """Share of the images' rotation about its mean that the gyroscope explains at this offset: 1 is all of it, 0 no
     more than a constant rate does; negative where it is worse."""
-    runner_up: float
-    """The largest such share at an offset beyond the valley of this one, or at its rim."""
     ambiguity: float
-    """Ratio of the remainder at the best offset to that at the runner-up, both on the grid of offsets: 1 if both are
-    equally good."""
+    """Ratio of the remainder at the best offset to the least beyond its valley, or at its rim, both on the grid of
+    offsets: 1 if both are equally good."""
     gain: float
     """Ratio of the remainder without an offset to that at this one."""
     is_inside: bool
@@ -112,7 +110,7 @@ def rotation_offset(measured: RelativeRotations, imu: ImuSamples, max_offset_s: 
     least = min(cost, float(costs[best]))
     explained, ambiguity = 1.0 - least / constant, float(costs[best]) / max(runner_up, 1e-12)
     gain = float(costs[steps]) / max(least, 1e-12)
-    return RotationOffset(offset_s, sigma_s, explained, 1.0 - runner_up / constant, ambiguity, gain, inside)
+    return RotationOffset(offset_s, sigma_s, explained, ambiguity, gain, inside)
 
 
 @dataclass(frozen=True, eq=False)

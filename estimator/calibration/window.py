@@ -126,11 +126,11 @@ def select_landmarks(
     if not len(observations.landmark):
         return observations, np.zeros((0, 3))
     R, p = camera_poses(state, observations)
-    found = triangulate(observations.starts, R, p, corrected_xy(state, observations))
-    is_accurate = found.rms < config.max_reprojection_px / focal_px
-    is_good = found.in_front & (found.parallax_rad > np.radians(config.min_parallax_deg)) & is_accurate
+    landmarks = triangulate(observations.starts, R, p, corrected_xy(state, observations))
+    is_accurate = landmarks.rms < config.max_reprojection_px / focal_px
+    is_good = landmarks.in_front & (landmarks.parallax_rad > np.radians(config.min_parallax_deg)) & is_accurate
     counts = np.bincount(observations.landmark)
     descending = np.sort(counts[is_good])[::-1]
     if len(descending) > config.max_landmarks:
         is_good &= counts >= descending[config.max_landmarks - 1]
-    return observations.of_landmarks(is_good), found.points[is_good]
+    return observations.of_landmarks(is_good), landmarks.points[is_good]

@@ -91,13 +91,13 @@ def confirm(reference: PosedDepth, other: PosedDepth, config: ConsistencyConfig)
     u, v, z = _transferred(reference.camera, other.camera, T, x, y, w)
     ahead = (z > 0.0) & (w > 0.0)
     u, v = (np.where(ahead, a, np.float32(_OUTSIDE_PX)) for a in (u, v))
-    found = _sampled(other.inverse_depth, u, v)
-    known = found > 0.0
-    back_u, back_v, back_z = _transferred(other.camera, reference.camera, T_reference_other, u, v, found)
-    seen = np.divide(found, back_z, out=np.zeros_like(found), where=known & (back_z > 0.0))
+    w_other = _sampled(other.inverse_depth, u, v)
+    known = w_other > 0.0
+    back_u, back_v, back_z = _transferred(other.camera, reference.camera, T_reference_other, u, v, w_other)
+    seen = np.divide(w_other, back_z, out=np.zeros_like(w_other), where=known & (back_z > 0.0))
     agrees = known & ((back_u - x) ** 2 + (back_v - y) ** 2 <= np.float32(config.max_reprojection_px**2))
     agrees &= np.abs(seen - w) <= np.float32(config.max_depth_ratio) * w
-    return agrees, seen, found * found
+    return agrees, seen, w_other * w_other
 
 
 def _transferred(

@@ -74,15 +74,15 @@ def estimate_depth(
         return DepthMap(unknown, unknown)
     axes = np.concatenate([[[0.0, 0.0, 1.0]], normals @ reference.T_world_cam[:3, :3]])
     sweeps = [_sweep_planes(view, warps, in_camera, axis, step, config) for axis in axes]
-    found = _best([result for result in sweeps if result is not None])
+    best = _best([result for result in sweeps if result is not None])
     offsets = config.refinement_step * np.arange(-config.refinement_steps, config.refinement_steps + 1)
     for finer_view, finer_nearby in finer:
-        start = _enlarged(np.asarray(cv2.medianBlur(found.inverse_depth, _MEDIAN_PX)), finer_view.grey.shape, step)
+        start = _enlarged(np.asarray(cv2.medianBlur(best.inverse_depth, _MEDIAN_PX)), finer_view.grey.shape, step)
         step *= 0.5
         finer_warps = [Warp(finer_view, source) for source in finer_nearby]
-        found = _search(finer_view, finer_warps, start, None, (step * offsets).astype(np.float32), config)
-    known = reference.mask & (found.inverse_depth > 0.0)
-    return DepthMap(np.where(known, found.inverse_depth, 0.0).astype(np.float32), 1.0 - found.cost)
+        best = _search(finer_view, finer_warps, start, None, (step * offsets).astype(np.float32), config)
+    known = reference.mask & (best.inverse_depth > 0.0)
+    return DepthMap(np.where(known, best.inverse_depth, 0.0).astype(np.float32), 1.0 - best.cost)
 
 
 def _pixel_step(warps: Sequence[Warp], inverse_depth: float) -> float:

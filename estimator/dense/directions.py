@@ -33,15 +33,15 @@ def dominant_normals(points: Array, count: int) -> Array:
     planar = deviations[:, 2] < _MAX_FLATNESS * deviations[:, 1]
     normals = axes[planar, 2]
     normals = normals[:: max(1, len(normals) // _MAX_CANDIDATES)]
-    found: list[Array] = []
+    dominant: list[Array] = []
     total = len(normals)
-    while len(found) < count and len(normals):
+    while len(dominant) < count and len(normals):
         alignment = np.abs(normals @ normals.T)
         support = np.count_nonzero(alignment > _SAME_DIRECTION, axis=1)
         best = int(np.argmax(support))
         if support[best] < _MIN_SHARE * total:
             break
         similar = normals[alignment[best] > _SAME_DIRECTION]
-        found.append(np.linalg.svd(similar, full_matrices=False)[2][0])  # mean direction without signs
-        normals = normals[np.abs(normals @ found[-1]) < _OTHER_DIRECTION]
-    return np.array(found).reshape(-1, 3)
+        dominant.append(np.linalg.svd(similar, full_matrices=False)[2][0])  # mean direction without signs
+        normals = normals[np.abs(normals @ dominant[-1]) < _OTHER_DIRECTION]
+    return np.array(dominant).reshape(-1, 3)

@@ -130,8 +130,8 @@ def estimate_depths(
         stored = store.load(name, key)
         if stored is not None:
             return PosedDepth(camera, T, stored["inverse_depth"])
-        found = estimate_depth(reference, sources, points, normals, config.depth)
-        inverse_depth = np.where(found.correlation >= threshold, found.inverse_depth, np.float32(0.0))
+        depth_map = estimate_depth(reference, sources, points, normals, config.depth)
+        inverse_depth = np.where(depth_map.correlation >= threshold, depth_map.inverse_depth, np.float32(0.0))
         store.save(name, key, inverse_depth=inverse_depth)
         return PosedDepth(camera, T, inverse_depth)
 
@@ -152,8 +152,8 @@ def filter_depths(
     """
 
     def check(i: int) -> PosedDepth:
-        found, _ = consistent_depth(depths[i], [depths[j] for j in neighbours[i]], config.consistency)
-        return replace(depths[i], inverse_depth=found)
+        inverse_depth, _ = consistent_depth(depths[i], [depths[j] for j in neighbours[i]], config.consistency)
+        return replace(depths[i], inverse_depth=inverse_depth)
 
     with ThreadPoolExecutor(config.threads) as pool:
         return map_with_progress(pool, check, range(len(depths)), progress)

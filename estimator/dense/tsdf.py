@@ -82,7 +82,7 @@ def pixel_size(depths: Sequence[PosedDepth]) -> float:
 def _occupied_blocks(depths: Sequence[PosedDepth], voxel: float, truncation_voxels: float) -> Indices:
     """Return the blocks (B, 3) within the truncation distance of a surface along a ray."""
     side = BLOCK * voxel
-    found = [np.zeros(0, np.int64)]
+    blocks = [np.zeros(0, np.int64)]
     for depth in depths:
         T = depth.T_world_cam
         points = depth.points()[::_STRIDE, ::_STRIDE].reshape(-1, 3)
@@ -91,8 +91,8 @@ def _occupied_blocks(depths: Sequence[PosedDepth], voxel: float, truncation_voxe
         for k in (-1.0, 0.0, 1.0):
             along = points + k * truncation_voxels * voxel * direction
             cells = np.floor((along @ T[:3, :3].T + T[:3, 3]) / side).astype(np.int64)
-            found.append(np.unique(_keys(cells)))
-    keys = np.unique(np.concatenate(found))
+            blocks.append(np.unique(_keys(cells)))
+    keys = np.unique(np.concatenate(blocks))
     return np.stack([(keys >> shift & _MASK) - _HALF for shift in (2 * _BITS, _BITS, 0)], axis=1)
 
 

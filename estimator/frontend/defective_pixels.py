@@ -73,13 +73,13 @@ class DefectivePixels:
             return
         self._R_cur_last, self._frames = np.eye(3), 0
         differs = cv2.absdiff(image, cv2.medianBlur(image, SIDE_PX)) >= MIN_DEVIATION
-        found = np.flatnonzero(differs)
-        if len(found) > MAX_SHARE * image.size:
-            found = found[:0]
-        counts = np.ones(len(found), np.int64)
+        deviating = np.flatnonzero(differs)
+        if len(deviating) > MAX_SHARE * image.size:
+            deviating = deviating[:0]
+        counts = np.ones(len(deviating), np.int64)
         if len(self._suspects):
-            row = np.minimum(np.searchsorted(self._suspects, found), len(self._suspects) - 1)
-            counts += np.where(self._suspects[row] == found, self._counts[row], 0)
+            row = np.minimum(np.searchsorted(self._suspects, deviating), len(self._suspects) - 1)
+            counts += np.where(self._suspects[row] == deviating, self._counts[row], 0)
         defective = counts >= MIN_IMAGES
-        self._pixels = np.union1d(self._pixels, found[defective])
-        self._suspects, self._counts = found[~defective], counts[~defective]
+        self._pixels = np.union1d(self._pixels, deviating[defective])
+        self._suspects, self._counts = deviating[~defective], counts[~defective]

@@ -140,12 +140,14 @@ class RigTracker:
         for image, defects in zip(self._images, self._defects, strict=True):
             if image is not None:
                 defects.examine(image)
-        found = [self._match(k, extrinsics.matchers[k], observations, at_exposure_of) for k in range(len(self._pairs))]
+        by_pair = [
+            self._match(k, extrinsics.matchers[k], observations, at_exposure_of) for k in range(len(self._pairs))
+        ]
         miscalibrated = [matcher.is_miscalibrated for matcher in extrinsics.matchers]
         return replace(
             _merged(observations),
-            matches=_joined([matches for matches, bad in zip(found, miscalibrated, strict=True) if not bad]),
-            miscalibrated=_joined([matches for matches, bad in zip(found, miscalibrated, strict=True) if bad]),
+            matches=_joined([matches for matches, bad in zip(by_pair, miscalibrated, strict=True) if not bad]),
+            miscalibrated=_joined([matches for matches, bad in zip(by_pair, miscalibrated, strict=True) if bad]),
         )
 
     def discard(self, ids: Integers) -> None:
@@ -182,10 +184,10 @@ class RigTracker:
         if first is None or second is None:
             return NO_MATCHES
         xy = tracked.xy if at_exposure_of is None else at_exposure_of(pair.second, tracked)
-        found = matcher.match(first, second, tracked.pixels, xy, depths.of(tracked.ids))
-        ids = tracked.ids[found.rows]
-        self._depths[index] = _InverseDepths(ids, found.inverse_depth)
-        return Matches(ids, np.full(len(ids), pair.second), found.xy)
+        matched = matcher.match(first, second, tracked.pixels, xy, depths.of(tracked.ids))
+        ids = tracked.ids[matched.rows]
+        self._depths[index] = _InverseDepths(ids, matched.inverse_depth)
+        return Matches(ids, np.full(len(ids), pair.second), matched.xy)
 
 
 def _tracking_cameras(rig: Rig) -> list[int]:
@@ -218,5 +220,5 @@ def _joined(matches: Sequence[Matches]) -> Matches:
     """Return the matches of several pairs as one."""
     if not matches:
         return NO_MATCHES
-    ids, camera, xy = ([getattr(found, name) for found in matches] for name in ("ids", "camera", "xy"))
+    ids, camera, xy = ([getattr(each, name) for each in matches] for name in ("ids", "camera", "xy"))
     return Matches(np.concatenate(ids), np.concatenate(camera), np.concatenate(xy))

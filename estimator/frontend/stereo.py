@@ -112,12 +112,12 @@ class StereoMatcher:
         c, scale = self._config, self._scale
         first, second = scale.images(klt.match_brightness(first, second), second)
         start, target = scale.first.pixels(pixels[candidates]), scale.second.pixels(predicted[candidates])
-        matched, found = klt.track(first, second, start, target, c.window_px, c.pyramid_levels)
+        matched, is_tracked = klt.track(first, second, start, target, c.window_px, c.pyramid_levels)
         back, returned = klt.track(second, first, matched, start, c.window_px, 0)
-        found &= returned & (np.linalg.norm(back - start, axis=1) < c.max_backward_error_px)
+        is_tracked &= returned & (np.linalg.norm(back - start, axis=1) < c.max_backward_error_px)
         matched = scale.second.restored(matched)
-        found &= is_inside(matched, self._second, c.border_px)
-        rows, matched = candidates[found], matched[found]
+        is_tracked &= is_inside(matched, self._second, c.border_px)
+        rows, matched = candidates[is_tracked], matched[is_tracked]
         xy_second = self._second.normalize(matched)
         bearings = np.column_stack([xy_second, np.ones(len(xy_second))])
         bearings /= np.linalg.norm(bearings, axis=1, keepdims=True)

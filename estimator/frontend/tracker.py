@@ -196,20 +196,20 @@ class FeatureTracker:
         predicted = self._camera.project(bearings)
         predicted = np.where(np.isnan(predicted), -OUTSIDE_PX, predicted).clip(-OUTSIDE_PX, OUTSIDE_PX)
         features = replace(features, patches=features.patches.rolled(R_cur_prev))
-        pixels, found = klt.track(previous, image, features.pixels, predicted, c.window_px, c.pyramid_levels)
-        tracked = self._aligned(features, pixels, found)
+        pixels, is_tracked = klt.track(previous, image, features.pixels, predicted, c.window_px, c.pyramid_levels)
+        tracked = self._aligned(features, pixels, is_tracked)
         if len(tracked.ids) > c.min_tracked_ratio * is_inside(predicted, self._camera, c.border_px).sum():
             return tracked
         lost = features[~np.isin(features.ids, tracked.ids)]
         levels = c.pyramid_levels + RETRY_LEVELS
-        pixels, found = klt.track(previous, image, lost.pixels, lost.pixels, c.window_px, levels)
-        tracked = tracked.joined(self._aligned(lost, pixels, found))
+        pixels, is_tracked = klt.track(previous, image, lost.pixels, lost.pixels, c.window_px, levels)
+        tracked = tracked.joined(self._aligned(lost, pixels, is_tracked))
         return tracked[np.argsort(tracked.ids)]
 
-    def _aligned(self, features: _Features, pixels: Array, found: Mask) -> _Features:
+    def _aligned(self, features: _Features, pixels: Array, is_tracked: Mask) -> _Features:
         """Return the features whose patches can be aligned with the current image near pixels (N, 2)."""
-        found = found & is_inside(pixels, self._camera, self._config.border_px)
-        features, pixels = features[found], pixels[found]
+        is_tracked = is_tracked & is_inside(pixels, self._camera, self._config.border_px)
+        features, pixels = features[is_tracked], pixels[is_tracked]
         return self._moved(features, pixels, self._config.patches.tracking_iterations)
 
     def _refined(self, features: _Features) -> _Features:

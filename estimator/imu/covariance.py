@@ -72,6 +72,9 @@ def propagate_covariance(
     F[0:3, 0:3], F[0:3, 9:12] = dR.T, -t * eye
     F[3:6, 0:3], F[3:6, 6:9], F[3:6, 12:15] = -R_world_imu @ skew(dp), t * eye, -0.5 * t * t * R_world_imu
     F[6:9, 0:3], F[6:9, 12:15] = -R_world_imu @ skew(dv), -t * R_world_imu
+    # A bias b of the gyroscope turns the specific force at time s by −s b: ∫ s a ds = t Δv − Δp, and its integral is
+    # t² Δv / 6 where the specific force changes linearly with time.
+    F[3:6, 9:12], F[6:9, 9:12] = R_world_imu @ skew(t * t * dv / 6.0), R_world_imu @ skew(t * dv - dp)
     gyro, accel = imu.gyro_noise_density**2, imu.accel_noise_density**2
     variances = [gyro * t, accel * t**3 / 3.0, accel * t, imu.gyro_random_walk**2 * t, imu.accel_random_walk**2 * t]
     Q = np.diag(np.repeat(variances, 3))

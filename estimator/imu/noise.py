@@ -282,8 +282,8 @@ class ImuNoiseEstimator:
     @property
     def is_excessive(self) -> bool:
         """Whether images and samples agree that the noise is far above that of the data sheet."""
-        found = zip(self.densities, self._shown, self._data_sheet, strict=True)
-        return any(x > EXCESSIVE_RATIO * sheet > 0.0 and floor > EXCESSIVE_SHARE * x for x, floor, sheet in found)
+        densities = zip(self.densities, self._shown, self._data_sheet, strict=True)
+        return any(x > EXCESSIVE_RATIO * sheet > 0.0 and floor > EXCESSIVE_SHARE * x for x, floor, sheet in densities)
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Add samples later than those before.
@@ -316,7 +316,7 @@ class ImuNoiseEstimator:
         self._accel.raise_to(accel)
         white, densities = is_white(measured), zip(self._at_rest, self._data_sheet, strict=True)
         gyro_ratio, accel_ratio = (
-            found / given if white and found > NOISY_RATIO * given > 0.0 else 1.0 for found, given in densities
+            density / given if white and density > NOISY_RATIO * given > 0.0 else 1.0 for density, given in densities
         )
         noise = self._params.with_noise(*self.densities)
         self._params = noise.with_walks_of(self._initial, gyro_ratio, accel_ratio)

@@ -23,7 +23,7 @@ from dronevio.estimator.initialization.views import Motion, WindowMeasurements
 
 Array = npt.NDArray[np.float64]
 
-MIN_DEPTH_M = 0.1
+MIN_START_DEPTH_M = 0.1
 """Smallest mean depth of a landmark that counts as in front of the cameras [m]."""
 ITERATIONS = 12
 """Number of solutions, each with the depths and the weights of the one before."""
@@ -135,7 +135,7 @@ def solve_closed_form(measured: WindowMeasurements, gyro_bias: Array, weights: A
     for iteration in range(ITERATIONS):
         information = robust / (noise.xy_sigma * depth_m) ** 2
         y = _minimum(np.einsum("f,fij->ij", information, system.H), noise)
-        depth_m = np.maximum(np.abs(mean_depth_m(measured, geometry.in_cameras(system.B @ y, y))), MIN_DEPTH_M)
+        depth_m = np.maximum(np.abs(mean_depth_m(measured, geometry.in_cameras(system.B @ y, y))), MIN_START_DEPTH_M)
         if iteration > 0:  # before, the depths were not known, so that the solution minimized distances
             squares = system.squares(y) / (noise.xy_sigma * depth_m) ** 2 / freedom
             robust = weights * robust_weights(squares, noise.outlier_sigmas, reliable)

@@ -17,7 +17,7 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.initialization.closed_form import MIN_DEPTH_M, NoiseModel, solve_closed_form
+from dronevio.estimator.initialization.closed_form import MIN_START_DEPTH_M, NoiseModel, solve_closed_form
 from dronevio.estimator.initialization.gauge import BiasPrior
 from dronevio.estimator.initialization.gyro_bias import EpipolarSolution, epipolar_gyro_bias
 from dronevio.estimator.initialization.not_observable import (
@@ -147,8 +147,8 @@ def initialize_dynamic(
     """
     c, stereo = config, is_stereo(window, config)
     measured = WindowMeasurements.of(window, Ts_imu_cam, c.max_frames, c.min_observations)
-    tracks, xy_sigma = measured.tracks, c.pixel_sigma / focal_px
-    implausible = implausible_imu(measured.imu.gyro_rad_s, measured.imu.accel_m_s2, gravity_m_s2)
+    tracks, gyro_rad_s, xy_sigma = measured.tracks, measured.imu.increments.gyro_rad_s, c.pixel_sigma / focal_px
+    implausible = implausible_imu(gyro_rad_s, measured.imu.increments.accel_m_s2, gravity_m_s2)
     if implausible is not None:
         return implausible
     if len(tracks) < c.min_landmarks:
@@ -164,7 +164,7 @@ def initialize_dynamic(
             f"a parallax of {rounded_down(parallax_px)} px, {needed_px:g} px are needed: motion sideways helps, or rest"
         )
     noise = NoiseModel(xy_sigma, c.outlier_sigmas, accel_bias, gravity_m_s2)
-    cause = probable_cause(rotation, measured.imu.angular_velocity_deviation_rad_s, c)
+    cause = probable_cause(rotation, float(np.sqrt(np.var(gyro_rad_s, axis=0).sum())), c)
     try:
         initial = solve_closed_form(measured, rotation.bias_rad_s, rotation.weights, noise)
         refined = refine(measured, initial, gyro_bias, noise)
@@ -178,11 +178,8 @@ def initialize_dynamic(
         return reason
     R_world_imu = level_rotation(-state.gravity)
     pose, velocity = pose_matrix(R_world_imu, np.zeros(3)), R_world_imu @ state.velocity
-    return DynamicStart(
-        NavState(window[0].t_ns, pose, velocity, state.gyro_bias, state.accel_bias),
-        tracks.ids[~refined.inliers],
-        _evidence_of_time_offset(free),
-    )
+    start = NavState(window[0].t_ns, pose, velocity, state.gyro_bias, state.accel_bias)
+    return DynamicStart(start, tracks.ids[~refined.inliers], _evidence_of_time_offset(free))
 
 
 def _evidence_of_time_offset(free: RefinedState) -> NotObservable | None:
@@ -235,7 +232,7 @@ def _reason_against(
         )
     curvature_m = _deviation_from_line(motion.dp + 0.5 * state.gravity * t_s**2, t_s)
     curvature_of_bias_m = _deviation_from_line(0.5 * accel_bias_sigma_m_s2 * t_s**2, t_s)
-    behind = float(np.mean(refined.depth_m[inliers] <= MIN_DEPTH_M))
+    behind = float(np.mean(refined.depth_m[inliers] <= MIN_START_DEPTH_M))
     sigma_m_s = float(np.sqrt(np.linalg.eigvalsh(refined.velocity_covariance)[-1]))
     speed_m_s = float(np.linalg.norm(state.velocity))
     allowed_m_s = max(c.max_velocity_sigma_m_s, c.max_velocity_sigma * speed_m_s)

@@ -80,10 +80,7 @@ def epipolar_gyro_bias(
         H, h = _reduced(normals @ directions[:, :, 1:], np.stack(by_bias, axis=-1), residuals, weights * both)
         step = -np.linalg.solve(H + information, h + information @ (bias - prior.mean))
         bias = bias + step
-        if (
-            float(np.linalg.norm(step)) < CONVERGED_RAD_S
-            and float(np.abs(weights - previous).mean()) < CONVERGED_WEIGHT
-        ):
+        if np.linalg.norm(step) < CONVERGED_RAD_S and np.abs(weights - previous).mean() < CONVERGED_WEIGHT:
             break
     residual_sigmas, shift = float(np.sqrt(np.median(squares[count > 0]))), bias - prior.mean
     return EpipolarSolution(bias, weights, residual_sigmas, float(np.sqrt(shift @ information @ shift)))

@@ -32,11 +32,7 @@ from dronevio.estimator.initialization.not_observable import (
     too_short,
     uncertain_velocity,
 )
-from dronevio.estimator.initialization.static import (
-    InitialSigmas,
-    initialize_static,
-    mean_angular_velocity,
-)
+from dronevio.estimator.initialization.static import InitialSigmas, initialize_static, mean_angular_velocity
 from dronevio.estimator.initialization.zero_velocity import MOTION_DETECTION_DELAY_S
 from dronevio.estimator.types import Calibration, FramePacket
 from dronevio.models.ranges import Range, Settings
@@ -158,12 +154,7 @@ class Initializer:
         self._window = self._since(packet.t_ns, self._config.longest_window_s)
 
     def add(
-        self,
-        packet: FramePacket,
-        stationary_s: float,
-        calibration: Calibration,
-        gauge: Gauge,
-        noise: ImuNoiseEstimator,
+        self, packet: FramePacket, stationary_s: float, calibration: Calibration, gauge: Gauge, noise: ImuNoiseEstimator
     ) -> KeyframeSmoother | NotObservable:
         """Add a frame and return an initialized smoother, or the reason why there is none yet.
 
@@ -302,9 +293,8 @@ class Initializer:
                 is_due = self._keyframes.is_interval_over(preintegration.duration_s, frame_s, stationary=stationary)
             if is_due or packet is later[-1]:
                 rate = packet.increments.angular_velocity(bias.gyroscope())
-                keyframes.append(
-                    Keyframe(packet.t_ns, preintegration.measurements, packet.observations, stationary, rate)
-                )
+                measured, seen = preintegration.measurements, packet.observations
+                keyframes.append(Keyframe(packet.t_ns, measured, seen, stationary, rate))
                 preintegration = Preintegration(params, bias)
         error_px = smoother.initial_adjustment(keyframes)
         return (None, float("inf")) if error_px is None else (smoother, error_px)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.initialization.closed_form import (
-    MIN_DEPTH_M,
+    MIN_START_DEPTH_M,
     LinearSystem,
     NoiseModel,
     ViewGeometry,
@@ -18,8 +18,11 @@ from dronevio.estimator.initialization.closed_form import (
     mean_depth_m,
 )
 from dronevio.estimator.initialization.gauge import BiasPrior
-from dronevio.estimator.initialization.robust import INLIER_WEIGHT, robust_weights
+from dronevio.estimator.initialization.robust import INLIER_WEIGHT, robust_scale
 from dronevio.estimator.initialization.views import WindowMeasurements
+from dronevio.estimator.optimization.gauss_newton import gauss_newton
+from dronevio.estimator.optimization.linalg import LUFactor
+from dronevio.estimator.optimization.robust import geman_mcclure_loss, geman_mcclure_weight
 
 Array = npt.NDArray[np.float64]
 
@@ -35,7 +38,7 @@ _DIFFERENCE_S = 0.0025  # least step of those by the time offset
 
 @dataclass(frozen=True, eq=False)
 class RefinedState:
-    """A state with what is needed to judge it."""
+    """A state, and the measures of its quality."""
 
     state: WindowState
     """State at the first frame of the window."""
@@ -73,55 +76,85 @@ def refine(
         time_offset_sigma_s: Standard deviation of the time offset of camera and IMU, which is expected to be the one in
             use [s].
     """
-    geometry = _geometry(measured, state.gyro_bias)
-    landmarks = LinearSystem.of(measured, geometry).B @ state.y
-    for _ in range(STEPS):
-        equations = _Equations.at(measured, state, landmarks, noise)
-        H, h = equations.with_priors(state, gyro_bias, noise, time_offset_sigma_s)
-        change = np.asarray(np.linalg.solve(H, -h))
-        landmarks = landmarks - equations.landmark_steps @ np.append(change, 1.0)
-        state = _changed(state, change)
-    equations = _Equations.at(measured, state, landmarks, noise)
-    covariance = np.asarray(np.linalg.inv(equations.with_priors(state, gyro_bias, noise, time_offset_sigma_s)[0]))
+    objective = RefinementObjective(measured, gyro_bias, noise, time_offset_sigma_s)
+    x = gauss_newton(objective, objective.initial(state), LUFactor, STEPS).x
+    equations = objective.linearize(x)
     freedom = equations.weights * measured.tracks.degrees_of_freedom
     variance_factor = max(float(equations.squares @ freedom) / float(freedom.sum()), 1.0)
-    covariance *= variance_factor
+    covariance = variance_factor * np.asarray(np.linalg.inv(equations.H))
     offset_sigma_s = float(np.sqrt(covariance[_TIME_OFFSET, _TIME_OFFSET]))
     return RefinedState(
-        state, equations.weights, equations.squares, equations.depth_m, covariance[:3, :3], offset_sigma_s
+        x.state, equations.weights, equations.squares, equations.depth_m, covariance[:3, :3], offset_sigma_s
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _Equations:
-    """Normal equations of the state, with the landmarks eliminated."""
+class RefinementEstimate:
+    """The variables: the state at the first frame and the landmarks."""
 
-    H: Array  # (12, 12)
-    h: Array  # (12,) the gradient
-    landmark_steps: Array  # (F, 3, 13) the landmarks change by minus this times the change of the state and 1
+    state: WindowState
+    """The state."""
+    landmarks: Array
+    """(F, 3) Positions of the landmarks in the IMU frame of the first frame [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class RefinementEquations:
+    """Normal equations of the state, with the landmarks eliminated, and the residuals that they are made of."""
+
+    H: Array
+    """(12, 12) Information matrix."""
+    b: Array
+    """(12,) Right-hand side."""
+    x: RefinementEstimate
+    """The variables at which they are linearized."""
+    scales: float
+    """Scale of the robust loss, a mean squared residual."""
+    landmark_steps: Array
+    """(F, 3, 13) Matrices by which minus the step of the landmarks follows from that of the state and 1."""
     weights: Array
+    """(F,) Weights of the landmarks."""
     squares: Array
+    """(F,) Mean squared residuals of the landmarks."""
     depth_m: Array
+    """(F,) Mean depths of the landmarks [m]."""
 
-    @classmethod
-    def at(
-        cls,
-        measured: WindowMeasurements,
-        state: WindowState,
-        landmarks: Array,
-        noise: NoiseModel,
-    ) -> "_Equations":
-        tracks, geometry = measured.tracks, _geometry(measured, state.gyro_bias)
+    def retract(self, delta: Array) -> RefinementEstimate:
+        """Return the variables after a step (12,), with the step of the landmarks that belongs to it."""
+        landmarks = self.x.landmarks - self.landmark_steps @ np.append(delta, 1.0)
+        return RefinementEstimate(_changed(self.x.state, delta), landmarks)
+
+
+@dataclass(frozen=True, eq=False)
+class RefinementObjective:
+    """Reprojection errors in a window, and what is known of biases and time offset from elsewhere; see `refine`."""
+
+    measured: WindowMeasurements
+    """Measurements of a window."""
+    gyro_bias: BiasPrior
+    """What is known of the gyroscope bias [rad/s]."""
+    noise: NoiseModel
+    """Assumptions on the measurements."""
+    time_offset_sigma_s: float
+    """Standard deviation of the time offset [s]."""
+
+    def initial(self, state: WindowState) -> RefinementEstimate:
+        """Return the variables for a state, with the landmarks that agree best with it."""
+        geometry = _geometry(self.measured, state.gyro_bias)
+        return RefinementEstimate(state, LinearSystem.of(self.measured, geometry).B @ state.y)
+
+    def linearize(self, x: RefinementEstimate) -> RefinementEquations:
+        """Return the normal equations at some variables."""
+        measured, tracks, state, landmarks = self.measured, self.measured.tracks, x.state, x.landmarks
+        # Residuals and their Jacobians, one block of 2V rows per landmark
+        geometry = _geometry(measured, state.gyro_bias)
         at_frames, by_offset = geometry.in_cameras(landmarks, state.y), _by_time_offset(measured, state, landmarks)
         in_cameras = at_frames + state.time_offset_s * by_offset
-        z = np.maximum(np.abs(in_cameras[..., 2:]), MIN_DEPTH_M)
-        xy = in_cameras[..., :2] / z
-        known = tracks.observed[..., None] / noise.xy_sigma
-        residuals = (xy - tracks.xy) * known
+        residuals, z, xy = self._residuals(in_cameras)
         projection = np.zeros((*tracks.observed.shape, 2, 3))
         projection[..., 0, 0] = projection[..., 1, 1] = 1.0
         projection[..., 2] = -xy
-        projection *= (known / z)[..., None]
+        projection *= (tracks.observed[..., None] / self.noise.xy_sigma / z)[..., None]
         J_landmark = projection @ np.swapaxes(geometry.R_first_cam, 1, 2)[:, None]
         J_linear = J_landmark @ (geometry.Q[..., :9] @ _tangents(state))[:, None]
         by_bias = [
@@ -130,31 +163,50 @@ class _Equations:
         ]
         J_others = projection @ np.stack([*by_bias, by_offset], axis=-1)
         J = np.concatenate([J_landmark, J_linear, J_others, residuals[..., None]], axis=-1)
-        J = np.moveaxis(J, 1, 0).reshape(len(tracks), -1, J.shape[-1])  # one block of 2V rows per landmark
+        J = np.moveaxis(J, 1, 0).reshape(len(tracks), -1, J.shape[-1])
+        # Elimination of the landmarks
         products = np.swapaxes(J, 1, 2) @ J
         eliminated = np.linalg.solve(products[:, :3, :3] + 1e-9 * np.eye(3), products[:, :3, 3:])
         reduced = products[:, 3:, 3:] - np.swapaxes(products[:, :3, 3:], 1, 2) @ eliminated
-        squares = (residuals**2).sum(axis=(0, 2)) / tracks.degrees_of_freedom
-        weights = robust_weights(squares, noise.outlier_sigmas)
-        # The errors of a track are correlated in time, so that all its observations count as one.
+        # Robust weights; the errors of a track are correlated in time, so that all its observations count as one
+        squares = self._squares(residuals)
+        scale = robust_scale(squares, self.noise.outlier_sigmas)
+        weights = geman_mcclure_weight(squares, scale)
         total = np.einsum("f,fij->ij", weights / tracks.observed.sum(axis=0), reduced)
-        depth_m = mean_depth_m(measured, in_cameras)
-        return cls(total[:_STATE, :_STATE], total[:_STATE, _STATE], eliminated, weights, squares, depth_m)
+        error, variance = self._prior_error(state)
+        H, b = total[:_STATE, :_STATE] + np.diag(1.0 / variance), -(total[:_STATE, _STATE] + error / variance)
+        return RefinementEquations(H, b, x, scale, eliminated, weights, squares, mean_depth_m(measured, in_cameras))
 
-    def with_priors(
-        self, state: WindowState, gyro_bias: BiasPrior, noise: NoiseModel, time_offset_sigma_s: float
-    ) -> tuple[Array, Array]:
-        """Return matrix and gradient with the priors of the biases and of the time offset."""
-        H, h = self.H.copy(), self.h.copy()
+    def cost(self, x: RefinementEstimate, scale: float) -> float:
+        """Return the negative logarithm of the posterior density at a given scale, up to a constant."""
+        state, tracks = x.state, self.measured.tracks
+        in_cameras = _geometry(self.measured, state.gyro_bias).in_cameras(x.landmarks, state.y)
+        in_cameras = in_cameras + state.time_offset_s * _by_time_offset(self.measured, state, x.landmarks)
+        losses = geman_mcclure_loss(self._squares(self._residuals(in_cameras)[0]), scale)
+        error, variance = self._prior_error(state)
+        counts = tracks.degrees_of_freedom / tracks.observed.sum(axis=0)
+        return 0.5 * float(counts @ losses + (error**2 / variance).sum())
+
+    def _residuals(self, in_cameras: Array) -> tuple[Array, Array, Array]:
+        """Return the residuals (V, F, 2) in standard deviations, the depths [m] and the projections (V, F, 2)."""
+        tracks, z = self.measured.tracks, np.maximum(np.abs(in_cameras[..., 2:]), MIN_START_DEPTH_M)
+        xy = in_cameras[..., :2] / z
+        return (xy - tracks.xy) * (tracks.observed[..., None] / self.noise.xy_sigma), z, xy
+
+    def _squares(self, residuals: Array) -> Array:
+        """Return the mean squared residuals (F,) of the landmarks."""
+        return np.asarray((residuals**2).sum(axis=(0, 2)) / self.measured.tracks.degrees_of_freedom)
+
+    def _prior_error(self, state: WindowState) -> tuple[Array, Array]:
+        """Return the deviation (12,) of a state from the priors' means, and their variances (12,), infinite without."""
+        error, variance = np.zeros(_STATE), np.full(_STATE, np.inf)
         for rows, bias, prior in (
-            (_ACCEL_BIAS, state.accel_bias, noise.accel_bias),
-            (_GYRO_BIAS, state.gyro_bias, gyro_bias),
+            (_ACCEL_BIAS, state.accel_bias, self.noise.accel_bias),
+            (_GYRO_BIAS, state.gyro_bias, self.gyro_bias),
         ):
-            H[rows, rows] += np.eye(3) / prior.sigma**2
-            h[rows] += (bias - prior.mean) / prior.sigma**2
-        H[_TIME_OFFSET, _TIME_OFFSET] += 1.0 / time_offset_sigma_s**2
-        h[_TIME_OFFSET] += state.time_offset_s / time_offset_sigma_s**2
-        return H, h
+            error[rows], variance[rows] = bias - prior.mean, prior.sigma**2
+        error[_TIME_OFFSET], variance[_TIME_OFFSET] = state.time_offset_s, self.time_offset_sigma_s**2
+        return error, variance
 
 
 def _geometry(measured: WindowMeasurements, gyro_bias: Array) -> ViewGeometry:

@@ -10,6 +10,8 @@ in proportion to the noise.
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.optimization.robust import geman_mcclure_weight
+
 Array = npt.NDArray[np.float64]
 
 INLIER_WEIGHT = 0.25
@@ -27,7 +29,11 @@ def robust_weights(squares: Array, outlier_sigmas: float, reference: npt.NDArray
         outlier_sigmas: Root mean square residual at which the weight is `INLIER_WEIGHT`, in standard deviations.
         reference: (N,) Landmarks whose median counts; all by default.
     """
+    return geman_mcclure_weight(squares, robust_scale(squares, outlier_sigmas, reference))
+
+
+def robust_scale(squares: Array, outlier_sigmas: float, reference: npt.NDArray[np.bool_] | None = None) -> float:
+    """Return the square at which the weight is `INLIER_WEIGHT`; for the arguments, see `robust_weights`."""
     values = squares if reference is None else squares[reference]
     median = float(np.median(values)) if len(values) else 0.0
-    scale = max(MEDIAN_FACTOR * median, outlier_sigmas**2)
-    return np.asarray((scale / (squares + scale)) ** 2)
+    return max(MEDIAN_FACTOR * median, outlier_sigmas**2)

@@ -52,13 +52,8 @@ def initialize_static(t_ns: int, stationary: Sequence[Increments]) -> NavState:
     dt_s = np.concatenate([part.dt_s for part in stationary])[:, None]
     accel = np.concatenate([part.accel_m_s2 for part in stationary])
     up_imu = (accel * dt_s).sum(axis=0)
-    return NavState(
-        t_ns,
-        pose_matrix(level_rotation(up_imu), np.zeros(3)),
-        np.zeros(3),
-        mean_angular_velocity(stationary),
-        np.zeros(3),
-    )
+    pose = pose_matrix(level_rotation(up_imu), np.zeros(3))
+    return NavState(t_ns, pose, np.zeros(3), mean_angular_velocity(stationary), np.zeros(3))
 
 
 def mean_angular_velocity(increments: Sequence[Increments]) -> Array:

@@ -64,9 +64,10 @@ class ImuWindow:
             window: Consecutive frame packets.
             frames: (V,) Index of the frame of each view.
         """
-        self._increments: Increments = joined([packet.increments for packet in window[1:]])
+        self.increments: Increments = joined([packet.increments for packet in window[1:]])
+        """The IMU increments between the first and the last frame, biases included."""
         ends = np.concatenate([[0], np.cumsum([len(packet.increments.dt_s) for packet in window[1:]])])
-        self._t_s = np.concatenate([[0.0], np.cumsum(self._increments.dt_s)])
+        self._t_s = np.concatenate([[0.0], np.cumsum(self.increments.dt_s)])
         self._rows = ends[frames]
 
     def rotations(self, gyro_bias_rad_s: Array) -> Array:
@@ -81,38 +82,21 @@ class ImuWindow:
             shift_s: How much later than the views the motion is wanted at least, or earlier where it is negative [s];
                 it is that at the nearest sample, and ends with the window.
         """
-        rows, dt_s = self._shifted_rows(shift_s), self._increments.dt_s
+        rows, dt_s = self._shifted_rows(shift_s), self.increments.dt_s
         R = self._all_rotations(gyro_bias_rad_s)
-        dv = np.einsum("nij,nj->ni", R[:-1], self._increments.accel_m_s2) * dt_s[:, None]
+        dv = np.einsum("nij,nj->ni", R[:-1], self.increments.accel_m_s2) * dt_s[:, None]
         dv_by_bias = -R[:-1] * dt_s[:, None, None]
         return Motion(self._t_s[rows], R[rows], _summed_twice(dv, dt_s)[rows], _summed_twice(dv_by_bias, dt_s)[rows])
-
-    @property
-    def gyro_rad_s(self) -> Array:
-        """(N, 3) Angular velocities, bias included [rad/s]."""
-        return self._increments.gyro_rad_s
-
-    @property
-    def accel_m_s2(self) -> Array:
-        """(N, 3) Specific forces [m/s²]."""
-        return self._increments.accel_m_s2
-
-    @property
-    def angular_velocity_deviation_rad_s(self) -> float:
-        """Standard deviation of the angular velocity over the window, of all axes together [rad/s]."""
-        return float(np.sqrt(np.var(self._increments.gyro_rad_s, axis=0).sum()))
 
     def _shifted_rows(self, shift_s: float) -> Integers:
         if not shift_s:
             return self._rows
         wanted_s = self._t_s[self._rows] + shift_s
-        rows = (
-            np.searchsorted(self._t_s, wanted_s) if shift_s > 0.0 else np.searchsorted(self._t_s, wanted_s, "right") - 1
-        )
-        return np.asarray(np.clip(rows, 0, len(self._t_s) - 1))
+        after, before = np.searchsorted(self._t_s, wanted_s), np.searchsorted(self._t_s, wanted_s, "right") - 1
+        return np.asarray(np.clip(after if shift_s > 0.0 else before, 0, len(self._t_s) - 1))
 
     def _all_rotations(self, gyro_bias_rad_s: Array) -> Array:
-        increments = self._increments
+        increments = self.increments
         return integrated_rotations((increments.gyro_rad_s - gyro_bias_rad_s) * increments.dt_s[:, None])
 
 

@@ -9,7 +9,7 @@ consistent again soon after a short contradiction.
 import numpy as np
 
 from dronevio.estimator.monitoring.config import HealthConfig
-from dronevio.estimator.monitoring.innovation import median
+from dronevio.estimator.optimization.linear_fit import median
 
 MIN_FRAMES, MIN_SPAN_S = 3, 0.1
 """Smallest number of frames of a window that has begun anew, as at an initialization, and shortest time between the

@@ -13,10 +13,14 @@ import numpy.typing as npt
 from dronevio.estimator.backend.observations import track_sigma_scale
 from dronevio.estimator.backend.reprojection import MEDIAN_CHI2_2DOF
 from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
+from dronevio.estimator.optimization.linear_fit import LinearFit, median, robust_linear_fit
 from dronevio.estimator.types import Calibration, Integers, Observations, common_rows
 from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
+
+UNKNOWN_INFORMATION = 1e-6
+"""Information on an unknown of which nothing is known, in its unit: enough for a solution."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +84,28 @@ class Innovation:
         squares = (d * u * u - 2.0 * b * u * v + a * v * v) / (a * d - b * b)
         return median(squares) / MEDIAN_CHI2_2DOF
 
+    def fit(self, rotation_variance: Array | float, derivatives: Array | None = None) -> LinearFit:
+        """Return the errors of the predicted pose that explain the innovation, and further unknowns.
+
+        Args:
+            rotation_variance: (3,) or number, variance of the predicted rotation about the axes of the IMU [rad²].
+            derivatives: (N, 2, m) Derivatives of the innovation by m unknowns of which nothing is known before [px].
+
+        Returns:
+            The rotation (3,) [rad] and the position (3,) in the IMU frame [m], then the further unknowns (m,).
+        """
+        J, (x, y, z), R = self.J_imu, self.in_imu.T, self.R_world_imu
+        further = np.empty((len(self), 2, 0)) if derivatives is None else derivatives
+        A = np.empty((len(self), 2, 6 + further.shape[2]))
+        A[..., 0] = J[..., 1] * z[:, None] - J[..., 2] * y[:, None]
+        A[..., 1] = J[..., 2] * x[:, None] - J[..., 0] * z[:, None]
+        A[..., 2] = J[..., 0] * y[:, None] - J[..., 1] * x[:, None]
+        A[..., 3:6], A[..., 6:] = -J, further
+        prior = np.diag(np.full(A.shape[2], UNKNOWN_INFORMATION))
+        prior[range(3), range(3)] = 1.0 / (rotation_variance + 1e-10)
+        prior[3:6, 3:6] = np.linalg.inv(R.T @ self.uncertainty.position_covariance @ R + 1e-10 * np.eye(3))
+        return robust_linear_fit(A, self.residual_px, self.uncertainty.image_variance_px2, prior)
+
 
 def innovation(
     ids: Integers,
@@ -111,8 +137,3 @@ def innovation(
     J_imu = (focal_px[:, None] / z)[:, :, None] * (axes[:, :2] - xy[:, :, None] * axes[:, 2:])
     sigma_scale = track_sigma_scale(observations)[columns]
     return Innovation(rows, residual_px, in_imu, J_imu, R, focal_px, sigma_scale, uncertainty)
-
-
-def median(values: Array) -> float:
-    """Return the upper median of values (N,), N > 0, at a fifth of the cost of `numpy.median`."""
-    return float(np.partition(values, len(values) // 2)[len(values) // 2])

@@ -10,8 +10,9 @@ from dronevio.estimator.monitoring.causes import Cause, Reason
 from dronevio.estimator.monitoring.config import HealthConfig
 from dronevio.estimator.monitoring.consistency import ConsistencyMonitor
 from dronevio.estimator.monitoring.health import Assessment
-from dronevio.estimator.monitoring.innovation import Innovation, median
+from dronevio.estimator.monitoring.innovation import Innovation
 from dronevio.estimator.monitoring.reference import Reference
+from dronevio.estimator.optimization.linear_fit import median
 from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.imu import ImuModel
 from dronevio.models.state import HealthQuantities, NavState

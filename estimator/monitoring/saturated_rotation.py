@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments
-from dronevio.estimator.monitoring.innovation import Innovation, median
+from dronevio.estimator.monitoring.innovation import Innovation
 
 Array = npt.NDArray[np.float64]
 
@@ -49,8 +49,6 @@ def with_rotation_by_image(measured: Increments, innovation_of: Callable[[Increm
 def missing_rotation(innovation: Innovation, saturated_sigma_rad: Array) -> tuple[Array, Array] | None:
     """Return the rotation that is missing in a prediction, from its innovation.
 
-    Outliers are weighted down by Cauchy's loss, with the median of the residuals as scale.
-
     Args:
         innovation: The innovation of the frame.
         saturated_sigma_rad: (3,) Standard deviation of the predicted rotation about each axis of the IMU, due to
@@ -61,28 +59,8 @@ def missing_rotation(innovation: Innovation, saturated_sigma_rad: Array) -> tupl
     """
     if len(innovation) < MIN_LANDMARKS:
         return None
-    R, u = innovation.R_world_imu, innovation.uncertainty
-    J, x, y, z = innovation.J_imu, *innovation.in_imu.T
-    # Columns: the rotation (3) and the position (3) of the prediction in the IMU frame, and the residual
-    A = np.empty((len(innovation), 2, 7))
-    A[..., 0] = J[..., 1] * z[:, None] - J[..., 2] * y[:, None]
-    A[..., 1] = J[..., 2] * x[:, None] - J[..., 0] * z[:, None]
-    A[..., 2] = J[..., 0] * y[:, None] - J[..., 1] * x[:, None]
-    A[..., 3:6] = -J
-    A[..., 6] = innovation.residual_px
-    prior = np.zeros((6, 6))
-    prior[range(3), range(3)] = 1.0 / (u.rotation_variance + saturated_sigma_rad**2 + 1e-10)
-    prior[3:, 3:] = np.linalg.inv(R.T @ u.position_covariance @ R + 1e-10 * np.eye(3))
-    residual, solution, H = innovation.residual_px, np.zeros(6), prior
-    for _ in range(2):
-        squares = (residual**2).sum(axis=1)
-        weight = np.sqrt(1.0 / (u.image_variance_px2 * (1.0 + squares / (median(squares) + u.image_variance_px2))))
-        scaled = (A * weight[:, None, None]).reshape(-1, 7)
-        normal = scaled.T @ scaled
-        H = normal[:6, :6] + prior
-        solution = np.linalg.solve(H, normal[:6, 6])
-        residual = innovation.residual_px - A[..., :6] @ solution
-    return solution[:3], np.sqrt(np.diag(np.linalg.inv(H))[:3])
+    found = innovation.fit(innovation.uncertainty.rotation_variance + saturated_sigma_rad**2)
+    return found.solution[:3], np.sqrt(np.diag(found.covariance)[:3])
 
 
 def saturated_sigma_rad(increments: Increments) -> Array:

@@ -19,7 +19,8 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.monitoring.innovation import Innovation, median
+from dronevio.estimator.monitoring.innovation import Innovation
+from dronevio.estimator.optimization.linear_fit import median
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.state import NavState
 
@@ -184,8 +185,6 @@ def is_irregular(intervals_s: Array, period_s: float, min_error_s: float) -> boo
 def exposure_error(innovation: Innovation, predicted: NavState, angular_velocity_rad_s: Array) -> tuple[float, float]:
     """Return by how much a frame was exposed later than assumed, according to its innovation.
 
-    Outliers are weighted down by Cauchy's loss, with the median of the residuals as scale.
-
     Args:
         innovation: The innovation of the frame.
         predicted: The state that the IMU predicts for the assumed time.
@@ -194,29 +193,8 @@ def exposure_error(innovation: Innovation, predicted: NavState, angular_velocity
     Returns:
         The time and its standard deviation [s].
     """
-    R, u = innovation.R_world_imu, innovation.uncertainty
+    R, J = innovation.R_world_imu, innovation.J_imu
     velocity = -np.cross(angular_velocity_rad_s, innovation.in_imu) - predicted.velocity_m_s @ R
-    J, x, y, z = innovation.J_imu, *innovation.in_imu.T
-    # Columns: δ, the position (3) and the orientation (3) of the prediction in the IMU frame, and the residual
-    A = np.empty((len(innovation), 2, 8))
-    A[..., 0] = J[..., 0] * velocity[:, :1] + J[..., 1] * velocity[:, 1:2] + J[..., 2] * velocity[:, 2:]
-    A[..., 1:4] = -J
-    A[..., 4] = J[..., 1] * z[:, None] - J[..., 2] * y[:, None]
-    A[..., 5] = J[..., 2] * x[:, None] - J[..., 0] * z[:, None]
-    A[..., 6] = J[..., 0] * y[:, None] - J[..., 1] * x[:, None]
-    A[..., 7] = innovation.residual_px
-    prior = np.zeros((6, 6))
-    prior[:3, :3] = np.linalg.inv(R.T @ u.position_covariance @ R + 1e-10 * np.eye(3))
-    prior[range(3, 6), range(3, 6)] = 1.0 / (u.rotation_variance + 1e-10)
-    residual, delta, information = innovation.residual_px, 0.0, 1.0
-    for _ in range(2):
-        squares = (residual**2).sum(axis=1)
-        weight = np.sqrt(1.0 / (u.image_variance_px2 * (1.0 + squares / (median(squares) + u.image_variance_px2))))
-        scaled = (A * weight[:, None, None]).reshape(-1, 8)
-        H = scaled.T @ scaled
-        nuisance = H[1:7, 1:7] + prior
-        gain = np.linalg.solve(nuisance, H[1:7, [0, 7]])
-        information = float(H[0, 0] - H[0, 1:7] @ gain[:, 0])
-        delta = float(H[0, 7] - H[0, 1:7] @ gain[:, 1]) / max(information, 1e-6)
-        residual = innovation.residual_px - A[..., 0] * delta - A[..., 1:7] @ (gain[:, 1] - gain[:, 0] * delta)
-    return delta, max(information, 1e-6) ** -0.5
+    flow = J[..., 0] * velocity[:, :1] + J[..., 1] * velocity[:, 1:2] + J[..., 2] * velocity[:, 2:]
+    found = innovation.fit(innovation.uncertainty.rotation_variance, flow[..., None])
+    return float(found.solution[6]), float(np.sqrt(found.covariance[6, 6]))

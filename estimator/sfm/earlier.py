@@ -71,18 +71,18 @@ def earlier_cameras(images: ImageSet, earlier: Reconstruction) -> tuple[CameraMo
                 f"{name}: the images have one camera here, and several in the earlier reconstruction; expected the same"
                 " option --camera for both"
             )
-        given, found = images.cameras[k], earlier.cameras[number]
-        if (given.width, given.height) != (found.width, found.height):
+        given, other = images.cameras[k], earlier.cameras[number]
+        if (given.width, given.height) != (other.width, other.height):
             raise ConfigError(
-                f"{name}: {given.width} × {given.height} px; expected {found.width} × {found.height} px as in the"
+                f"{name}: {given.width} × {given.height} px; expected {other.width} × {other.height} px as in the"
                 " earlier reconstruction"
             )
-        if images.is_calibrated[k] and not _is_same(given, found):
+        if images.is_calibrated[k] and not _is_same(given, other):
             raise ConfigError(
-                f"{name}: the calibration has {_text(given)}, and the earlier reconstruction {_text(found)}; expected"
+                f"{name}: the calibration has {_text(given)}, and the earlier reconstruction {_text(other)}; expected"
                 " the same"
             )
-        cameras[k] = given if images.is_calibrated[k] else found
+        cameras[k] = given if images.is_calibrated[k] else other
     return tuple(cameras)
 
 
@@ -127,7 +127,7 @@ def shared_points(index: Indices, earlier: Reconstruction, count: int) -> Indice
 
 def _identify(index: Indices, earlier: Reconstruction, features: list[Features]) -> Indices:
     """Return the feature (M,) of each earlier observation, −1 without one; each feature is used once in a track."""
-    found = np.full(len(earlier.observation_px), -1, np.int64)
+    feature = np.full(len(earlier.observation_px), -1, np.int64)
     for number, image in enumerate(index.tolist()):
         rows = np.flatnonzero(earlier.observation_image == number)
         if len(rows) == 0 or len(features[image]) == 0:
@@ -137,8 +137,8 @@ def _identify(index: Indices, earlier: Reconstruction, features: list[Features])
         _, first = np.unique(nearest[order], return_index=True)  # of several observations, the nearest has the feature
         chosen = order[first]
         chosen = chosen[distance[chosen] <= MAX_DISTANCE_PX]
-        found[rows[chosen]] = nearest[chosen]
-    return found
+        feature[rows[chosen]] = nearest[chosen]
+    return feature
 
 
 def _is_same(first: CameraModel, second: CameraModel) -> bool:

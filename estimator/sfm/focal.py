@@ -71,5 +71,5 @@ def _inliers(
     """Return the number of matches of a pair that an essential matrix explains."""
     i, j, matches = pair
     views = view_of(features[i].pixels, camera, True), view_of(features[j].pixels, camera, True)
-    found = verify(i, j, views, matches, config)
-    return 0 if found is None else len(found.matches)
+    verified = verify(i, j, views, matches, config)
+    return 0 if verified is None else len(verified.matches)

@@ -209,17 +209,17 @@ class _Mapper:
         is_defined = np.isfinite(bearings[:, 0])
         index, bearings = index[is_defined], bearings[is_defined]
         camera = state.cameras[scene.image_camera[image]]
-        found = resect(
+        resected = resect(
             state.points[scene.tracks.track[index]],
             bearings,
             float(np.sqrt(camera.fx * camera.fy)),
             self.config.resection,
         )
-        if found is None:
+        if resected is None:
             return None
         Ts_world_cam, is_inlier = state.Ts_world_cam.copy(), state.is_inlier.copy()
-        Ts_world_cam[image] = found[0]
-        is_inlier[index] = found[1]
+        Ts_world_cam[image] = resected[0]
+        is_inlier[index] = resected[1]
         return replace(state, Ts_world_cam=Ts_world_cam, is_inlier=is_inlier)
 
     def _subset(self, used: Mask) -> Mask:

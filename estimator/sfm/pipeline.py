@@ -158,8 +158,8 @@ def _detect(
             workspace.save_features(index, key, features)
         return features, key
 
-    found = map_with_progress(pool, detect, range(len(images.names)), progress)
-    return [features for features, _ in found], [key for _, key in found]
+    detected = map_with_progress(pool, detect, range(len(images.names)), progress)
+    return [features for features, _ in detected], [key for _, key in detected]
 
 
 def _chosen_pairs(
@@ -196,17 +196,17 @@ def _match(
         stored = workspace.load_pairs(first, key)
         if stored is not None:
             return stored
-        found = []
+        pairs = []
         for other in others:
             matches = match_features(features[first], features[other], config.matching)
             pair = verify(first, other, (views[first], views[other]), matches, config.verification)
             if pair is not None:
-                found.append(pair)
-        workspace.save_pairs(first, key, found)
-        return found
+                pairs.append(pair)
+        workspace.save_pairs(first, key, pairs)
+        return pairs
 
     groups = [(first, [j for _, j in rows]) for first, rows in groupby(chosen, key=lambda pair: pair[0])]
-    return [pair for found in map_with_progress(pool, match, groups, progress) for pair in found]
+    return [pair for pairs in map_with_progress(pool, match, groups, progress) for pair in pairs]
 
 
 def _scene(images: ImageSet, features: list[Features], pairs: Sequence[MatchedPair]) -> Scene:

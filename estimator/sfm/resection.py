@@ -1,9 +1,15 @@
 """Pose of an image from points whose positions are known (perspective-n-point)."""
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.optimization.gauss_newton import gauss_newton
+from dronevio.estimator.optimization.linalg import LeastNormFactor
+from dronevio.estimator.optimization.robust import cauchy_inflation, cauchy_loss
 from dronevio.estimator.sfm.bearings import angles_between_rad, tangent_bases
 from dronevio.estimator.sfm.config import ResectionConfig
 from dronevio.models.rotation import exp_so3, pose_matrix, skew
@@ -14,6 +20,8 @@ Mask = npt.NDArray[np.bool_]
 MAX_PINHOLE_RAD = np.radians(75.0)
 """Largest angle from the optical axis of the points that RANSAC uses [rad]."""
 GAUSS_NEWTON_STEPS = 8
+MIN_STEP_RAD = 1e-9
+"""Rotation after which a step is the last one [rad]."""
 
 
 def resect(points: Array, bearings: Array, focal_px: float, config: ResectionConfig) -> tuple[Array, Mask] | None:
@@ -38,12 +46,12 @@ def resect(points: Array, bearings: Array, focal_px: float, config: ResectionCon
     parameters.loMethod = cv2.LOCAL_OPTIM_INNER_LO
     parameters.sampler = cv2.SAMPLING_UNIFORM
     try:
-        found, _, r, t, _ = cv2.solvePnPRansac(
+        is_solved, _, r, t, _ = cv2.solvePnPRansac(
             np.ascontiguousarray(points[is_central]), np.ascontiguousarray(xy), K, np.zeros(4), params=parameters
         )
     except cv2.error:
         return None
-    if not found or r is None:
+    if not is_solved or r is None:
         return None
     R_cam_world = exp_so3(np.asarray(r, np.float64).reshape(3))
     T = pose_matrix(R_cam_world.T, -R_cam_world.T @ np.asarray(t, np.float64).reshape(3))
@@ -64,22 +72,68 @@ def refine_pose(T_world_cam: Array, points: Array, bearings: Array, scale_rad: f
         bearings: (N, 3) Unit vectors in the camera frame.
         scale_rad: Scale of the Cauchy loss [rad].
     """
-    bases = tangent_bases(bearings)
-    T = T_world_cam
-    for _ in range(GAUSS_NEWTON_STEPS):
-        p = (points - T[:3, 3]) @ T[:3, :3]
+    objective = ResectionObjective(points, bearings, scale_rad)
+    return gauss_newton(
+        objective,
+        T_world_cam,
+        LeastNormFactor,
+        GAUSS_NEWTON_STEPS,
+        is_last=lambda step: float(np.linalg.norm(step.delta[:3])) < MIN_STEP_RAD,
+    ).x
+
+
+@dataclass(frozen=True, eq=False)
+class PoseEquations:
+    """Normal equations of a camera's pose."""
+
+    H: Array
+    """(6, 6) Information matrix of rotation and translation, both in the camera frame."""
+    b: Array
+    """(6,) Right-hand side."""
+    x: Array
+    """(4, 4) Pose of the camera in the world frame."""
+    scales: npt.NDArray[np.bool_]
+    """(N,) Whether a point is in front of the camera."""
+
+    def retract(self, delta: Array) -> Array:
+        """Return the pose (4, 4) after a step (6,): t ← t + R δ."""
+        R, t = self.x[:3, :3], self.x[:3, 3]
+        return pose_matrix(R @ exp_so3(delta[:3]), t + R @ delta[3:])
+
+
+@dataclass(frozen=True, eq=False)
+class ResectionObjective:
+    """Cauchy's loss of the angles between bearings and points; the variable is the pose (4, 4) of the camera."""
+
+    points: Array
+    """(N, 3) Points in the world frame."""
+    bearings: Array
+    """(N, 3) Unit vectors in the camera frame."""
+    scale_rad: float
+    """Scale of the loss [rad]."""
+
+    def linearize(self, x: Array) -> PoseEquations:
+        """Return the normal equations at a pose; points behind the camera have no weight."""
+        p = (self.points - x[:3, 3]) @ x[:3, :3]
         distance = np.linalg.norm(p, axis=1, keepdims=True)
         u = p / distance
-        residual = np.einsum("nij,nj->ni", bases, u)
-        J_u = (bases - np.einsum("nij,nj->ni", bases, u)[..., None] * u[:, None, :]) / distance[:, None]
+        residual = np.einsum("nij,nj->ni", self._bases, u)
+        J_u = (self._bases - residual[..., None] * u[:, None, :]) / distance[:, None]
         J = np.concatenate([np.einsum("nij,njk->nik", J_u, skew(p)), -J_u], axis=2)
-        behind = np.sum(u * bearings, axis=1) <= 0.0
-        weight = np.where(behind, 0.0, 1.0 / (1.0 + np.sum(residual**2, axis=1) / scale_rad**2))
+        is_ahead = np.sum(u * self.bearings, axis=1) > 0.0
+        inflation = cauchy_inflation(np.sum(residual**2, axis=1), self.scale_rad**2)
+        weight = np.where(is_ahead, 1.0 / inflation, 0.0)
         H = np.einsum("n,nij,nik->jk", weight, J, J)
-        g = np.einsum("n,nij,ni->j", weight, J, residual)
-        step = -np.linalg.lstsq(H, g, rcond=None)[0]
-        # The translation is that of the camera in its own frame: t ← t + R δ.
-        T = pose_matrix(T[:3, :3] @ exp_so3(step[:3]), T[:3, 3] + T[:3, :3] @ step[3:])
-        if np.linalg.norm(step[:3]) < 1e-9:
-            break
-    return T
+        return PoseEquations(H, -np.einsum("n,nij,ni->j", weight, J, residual), x, is_ahead)
+
+    def cost(self, x: Array, scales: npt.NDArray[np.bool_]) -> float:
+        """Return half of the sum of the losses of the points that were in front of the camera."""
+        p = (self.points - x[:3, 3]) @ x[:3, :3]
+        residual = np.einsum("nij,nj->ni", self._bases, p / np.linalg.norm(p, axis=1, keepdims=True))
+        losses = cauchy_loss(np.sum(residual**2, axis=1), self.scale_rad**2)
+        return 0.5 * float(losses[scales].sum())
+
+    @cached_property
+    def _bases(self) -> Array:
+        """(N, 2, 3) Bases of the tangent planes at the bearings."""
+        return tangent_bases(self.bearings)

@@ -27,7 +27,7 @@ def triangulate(scene: Scene, state: SfmState, config: TriangulationConfig, agai
     index, bearings = index[enough], bearings[enough]
     tracks, track = np.unique(scene.tracks.track[index], return_inverse=True)
     T = state.Ts_world_cam[scene.tracks.image[index]]
-    found = triangulate_tracks(
+    triangulation = triangulate_tracks(
         track.astype(np.int64),
         T[:, :3, 3],
         np.einsum("mij,mj->mi", T[:, :3, :3], bearings),
@@ -36,7 +36,7 @@ def triangulate(scene: Scene, state: SfmState, config: TriangulationConfig, agai
         np.random.default_rng(0),
     )
     points, is_inlier = state.points.copy(), state.is_inlier.copy()
-    points[tracks], is_inlier[index] = found.points, found.is_inlier
+    points[tracks], is_inlier[index] = triangulation.points, triangulation.is_inlier
     return replace(state, points=points, is_inlier=is_inlier)
 
 

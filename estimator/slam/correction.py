@@ -30,7 +30,7 @@ class Correction:
     """Loops that were closed since the last correction."""
     loop_times_ns: tuple[tuple[int, int], ...] = ()
     """Times of the earlier and the later keyframe of each of these loops [ns]."""
-    judged_loops: int = 0
+    tested_loops: int = 0
     """Number of loops of the submap that an optimization has accepted or rejected."""
     events: tuple[str, ...] = ()
     """What became of a bundle adjustment, for users."""

@@ -91,6 +91,22 @@ class MappingConfig(Settings):
     """Similarity of the view of an earlier keyframe from which on a keyframe is redundant."""
 
 
+@dataclass
+class _NewestTrack:
+    """What the mapper keeps of the newest track of the odometry, until the next one begins."""
+
+    young: deque[int] = field(default_factory=deque)
+    """Keyframes that are too young to be culled."""
+    localized_ns: int | None = None
+    """Time of the newest keyframe that was localized in earlier ones [ns]."""
+    loops_between: tuple[RelativePose, ...] = ()
+    """Loops with submaps that it is not joined with."""
+    T_map_odom: Array | None = None
+    """(4, 4) Pose of its odometry frame in the map by the place of one keyframe."""
+    located: Correction | None = None
+    """Correction by two keyframes that agree, before the track is joined with the map."""
+
+
 class Mapper:
     """Builds a map from the keyframes of an odometry, which may begin again after a loss."""
 
@@ -104,20 +120,14 @@ class Mapper:
         self._recognizer, self._config = recognizer, config or MappingConfig()
         self._localizer = Localizer(self._config.localization)
         self._patches: dict[int, LandmarkPatches] = {}
-        self._localized_ns: int | None = None
         self._keyframes: list[MapKeyframe] = []  # of all submaps; the index is the number
         self._nodes: dict[int, OdometryNode] = {}  # keyframes that are not culled
-        self._recent: deque[int] = deque()  # keyframes that are too young to be culled
         self._submaps: tuple[Submap, ...] = ()
         self._closed: set[RelativePose] = set()  # loops that corrections have contained
         self._connected_ns: tuple[int, ...] = ()  # times of the later keyframes of the newest of these loops
-        self._home = 0  # track whose submap is the map
+        self._map_track = 0  # track whose submap is the map
         self._starts_ns: list[int] = []  # times at which the tracks after the first one begin
-        self._between: tuple[
-            RelativePose, ...
-        ] = ()  # loops of the newest track with submaps that it is not joined with
-        self._candidate: Array | None = None  # T_map_odom by the place of one keyframe
-        self._located: Correction | None = None  # by two keyframes that agree, before the track is joined
+        self._newest = _NewestTrack()
 
     def load(self, known: KnownMap) -> None:
         """Continue a saved map: the flight that follows is another track, which is joined as after a loss.
@@ -150,29 +160,29 @@ class Mapper:
     @property
     def graph(self) -> PoseGraph | None:
         """The pose graph of the map with all keyframes and loops; None before the first keyframe."""
-        home = self._submap_of(self._home)
-        return None if home is None else home.whole_graph
+        map_submap = self._map_submap
+        return None if map_submap is None else map_submap.whole_graph
 
     @property
     def keyframes(self) -> tuple[MapKeyframe, ...]:
         """The keyframes of the map in the order of time; culled ones are without features."""
-        home = self._submap_of(self._home)
-        return () if home is None else tuple(k for k in self._keyframes if k.track in home.tracks)
+        map_submap = self._map_submap
+        return () if map_submap is None else tuple(k for k in self._keyframes if k.track in map_submap.tracks)
 
     @property
     def adjusted_until(self) -> int:
         """Number of the newest keyframe that bundle adjustment during the flight has moved; -1 before the first one."""
-        home = self._submap_of(self._home)
-        return -1 if home is None or home.adjustment is None else home.adjustment.newest
+        map_submap = self._map_submap
+        return -1 if map_submap is None or map_submap.adjustment is None else map_submap.adjustment.newest
 
     @property
     def summary(self) -> MapSummary:
         """Size of the map."""
-        home, tracks = self._submap_of(self._home), {keyframe.track for keyframe in self._keyframes}
-        if home is None:
+        map_submap, tracks = self._map_submap, {keyframe.track for keyframe in self._keyframes}
+        if map_submap is None:
             return MapSummary(0, 0, 0, len(tracks))
-        loops, rejected = len(home.graph.loops), len(home.solution.rejected)
-        return MapSummary(len(home.graph.poses), loops - rejected, rejected, len(tracks - home.tracks))
+        graph, rejected = map_submap.graph, len(map_submap.solution.rejected)
+        return MapSummary(len(graph.poses), len(graph.loops) - rejected, rejected, len(tracks - map_submap.tracks))
 
     def final_solution(self) -> OptimizedGraph | None:
         """Return the pose graph of the map, optimized with all loops; None before the first keyframe."""
@@ -184,10 +194,11 @@ class Mapper:
         """The pose graph of the map with all keyframes, without loops that are rejected or wait; None before the first
         keyframe.
         """
-        home = self._submap_of(self._home)
-        if home is None:
+        map_submap = self._map_submap
+        if map_submap is None:
             return None
-        graph, closed = home.whole_graph, self._closed - (set(home.graph.loops) - set(home.closed_loops))
+        graph = map_submap.whole_graph
+        closed = self._closed - (set(map_submap.graph.loops) - set(map_submap.closed_loops))
         return replace(graph, loops=tuple(each for each in graph.loops if each in closed))
 
     def adjust(self, poses: Mapping[int, Array]) -> None:
@@ -196,12 +207,12 @@ class Mapper:
         Args:
             poses: Adjusted poses (4, 4) in the map frame. If the map has been given up meanwhile, they have no effect.
         """
-        home = self._submap_of(self._home)
-        if home is not None and poses.keys() <= home.whole_graph.poses.keys():
+        map_submap = self._map_submap
+        if map_submap is not None and poses.keys() <= map_submap.whole_graph.poses.keys():
             newest = self._keyframes[-1]
             adjustment = Adjustment(max(poses), self._nodes[newest.number].first, path_scale(self._keyframes, poses))
-            adjusted = home.adjusted(poses, adjustment, newest.t_ns)
-            self._submaps = (*(each for each in self._submaps if each is not home), adjusted)
+            adjusted = map_submap.adjusted(poses, adjustment, newest.t_ns)
+            self._submaps = (*(each for each in self._submaps if each is not map_submap), adjusted)
 
     def map_of(self, solution: OptimizedGraph) -> SlamMap:
         """Return the map as arrays, with the poses of a solution."""
@@ -215,11 +226,10 @@ class Mapper:
         """
         self._starts_ns.append(t_ns)
         self._recognizer.start_track()
-        self._candidate, self._located, self._localized_ns, self._between = None, None, None, ()
-        self._recent.clear()
-        home = self._submap_of(self._home)
-        if home is None or len(home.graph.poses) < MIN_MAP_KEYFRAMES:
-            self._home = self._track  # there is nothing yet that could be recognized
+        self._newest = _NewestTrack()
+        map_submap = self._map_submap
+        if map_submap is None or len(map_submap.graph.poses) < MIN_MAP_KEYFRAMES:
+            self._map_track = self._track  # there is nothing yet that could be recognized
 
     def locate(self, estimate: KeyframeEstimate, view: KeyframeView) -> Correction | None:
         """Return the correction of a track that is not joined, by a keyframe that is still in the window.
@@ -232,26 +242,28 @@ class Mapper:
             The correction; None if the keyframe shows no place of the map, if it leads to another pose than the one
             before, as while an odometry has a wrong velocity, or if the track has a pose in the map already.
         """
-        home = self._submap_of(self._home)
-        if home is None or self._track in home.tracks or self._located is not None:
+        map_submap = self._map_submap
+        if map_submap is None or self._track in map_submap.tracks or self._newest.located is not None:
             return None
+        # Place recognition
         keyframe = self._keyframe(estimate, view)
         match = self._recognizer.locate(keyframe)
-        if match is None or match.match not in home.graph.poses:
+        if match is None or match.match not in map_submap.graph.poses:
             return None
-        place = _loop(match)
-        patches = self._patches.get(match.match)
+        # Relative pose, by patches around landmarks where the keyframe of the place has them
+        place, patches = _loop(match), self._patches.get(match.match)
         if view.images is not None and patches is not None:
             old, predicted = self._keyframes[match.match], match.T_match_query
             place = self._localizer.localize(keyframe, view.images, old, patches, predicted) or place
-        T_map_imu = home.graph.poses[match.match] @ place.T_first_second
-        T_map_odom, candidate = T_map_imu @ inverse_pose(estimate.T_odom_imu), self._candidate
-        self._candidate = T_map_odom
-        if candidate is None or not poses_agree(candidate @ estimate.T_odom_imu, T_map_imu):
+        # Pose of the odometry frame in the map, which that of the keyframe before has to confirm
+        T_map_imu = map_submap.graph.poses[match.match] @ place.T_first_second
+        previous, T_map_odom = self._newest.T_map_odom, T_map_imu @ inverse_pose(estimate.T_odom_imu)
+        self._newest.T_map_odom = T_map_odom
+        if previous is None or not poses_agree(previous @ estimate.T_odom_imu, T_map_imu):
             return None
-        covariance = propagated(home.covariance_in_map(match.match), place, None)
-        self._located = Correction(T_map_odom, estimate, covariance, self._track)
-        return replace(self._located, is_joined=True)
+        covariance = propagated(map_submap.covariance_in_map(match.match), place, None)
+        self._newest.located = Correction(T_map_odom, estimate, covariance, self._track)
+        return replace(self._newest.located, is_joined=True)
 
     def add(self, estimate: KeyframeEstimate, view: KeyframeView) -> Correction:
         """Let a keyframe join its submap, and return the correction of the odometry.
@@ -260,36 +272,50 @@ class Mapper:
             estimate: The final estimate of the keyframe.
             view: What its cameras show.
         """
-        keyframe = self._keyframe(estimate, view)
+        keyframe, had_map_pose = self._keyframe(estimate, view), self._is_in_map or self._newest.located is not None
         self._keyframes.append(keyframe)
-        was_known = self._is_home or self._located is not None
+        # Odometry: the submap grows by the keyframe, and loses those that have become redundant.
         submap = self._without_redundant(self._extended(keyframe.number, estimate), estimate.t_ns)
-        loops = [_loop(match) for match in self._recognizer.add(keyframe)]
-        inner = [loop for loop in loops if {loop.first, loop.second} <= submap.graph.poses.keys()]
+        # Loops: recognized places, and earlier keyframes that are expected to show the same
+        recognized = [_loop(match) for match in self._recognizer.add(keyframe)]
+        loops = [loop for loop in recognized if {loop.first, loop.second} <= submap.graph.poses.keys()]
+        loops_between = [loop for loop in recognized if loop not in loops]
         if view.images is not None:
-            inner += self._localized(submap.graph, keyframe, view.images)
+            loops += self._localized(submap.graph, keyframe, view.images)
             self._patches[keyframe.number] = landmark_patches(keyframe, view.images, self._config.localization)
-        submap = self._joined(submap.with_loops(inner), [loop for loop in loops if loop not in inner], estimate.t_ns)
+        submap = self._joined(submap.with_loops(loops), loops_between, estimate.t_ns)
+        # Pose graph optimization, which accepts or rejects the loops
         if self._is_due(submap, estimate.t_ns):
             submap = submap.optimized(estimate.t_ns)
-        closed = tuple(loop for loop in submap.closed_loops if loop not in self._closed)
+        closed = self._newly_closed(submap)
         self._submaps = (*(each for each in self._submaps if not each.tracks & submap.tracks), submap)
-        self._closed.update(closed)
-        self._connected_ns = (*self._connected_ns, *(self._keyframes[loop.second].t_ns for loop in closed))[
-            -MAX_CONNECTED:
-        ]
-        times = ((self._keyframes[loop.first].t_ns, self._keyframes[loop.second].t_ns) for loop in closed)
-        times_ns = tuple((then, now) for then, now in times if then > LAST_KNOWN_NS)
+        # Correction: the pose of the odometry frame in the map at this keyframe
         covariance = submap.covariance_in_map(keyframe.number)
-        if self._is_home:
+        if self._is_in_map:
             T_map_odom = submap.graph.poses[keyframe.number] @ inverse_pose(estimate.T_odom_imu)
             correction = Correction(T_map_odom, estimate, covariance, self._track)
         else:
-            correction = self._located or Correction(None, estimate, covariance, self._track)
-        is_joined = correction.T_map_odom is not None and not was_known
+            correction = self._newest.located or Correction(None, estimate, covariance, self._track)
         return replace(
-            correction, is_joined=is_joined, loops=closed, loop_times_ns=times_ns, judged_loops=submap.judged
+            correction,
+            is_joined=correction.T_map_odom is not None and not had_map_pose,
+            loops=closed,
+            loop_times_ns=self._times_ns(closed),
+            tested_loops=submap.tested_loops,
         )
+
+    def _newly_closed(self, submap: Submap) -> tuple[RelativePose, ...]:
+        """Return the accepted loops of a submap that no correction has contained, and remember them."""
+        closed = tuple(loop for loop in submap.closed_loops if loop not in self._closed)
+        connected_ns = (*self._connected_ns, *(self._keyframes[loop.second].t_ns for loop in closed))
+        self._closed.update(closed)
+        self._connected_ns = connected_ns[-MAX_CONNECTED:]
+        return closed
+
+    def _times_ns(self, loops: Sequence[RelativePose]) -> tuple[tuple[int, int], ...]:
+        """Return the times of both keyframes of loops [ns], without those of a loaded map."""
+        times_ns = ((self._keyframes[loop.first].t_ns, self._keyframes[loop.second].t_ns) for loop in loops)
+        return tuple((then, now) for then, now in times_ns if then > LAST_KNOWN_NS)
 
     @property
     def _track(self) -> int:
@@ -297,10 +323,15 @@ class Mapper:
         return len(self._starts_ns)
 
     @property
-    def _is_home(self) -> bool:
+    def _map_submap(self) -> Submap | None:
+        """The submap that is the map; None before its first keyframe."""
+        return self._submap_of(self._map_track)
+
+    @property
+    def _is_in_map(self) -> bool:
         """Whether the newest track is part of the map."""
-        home = self._submap_of(self._home)
-        return self._track == self._home if home is None else self._track in home.tracks
+        map_submap = self._map_submap
+        return self._track == self._map_track if map_submap is None else self._track in map_submap.tracks
 
     def _submap_of(self, track: int) -> Submap | None:
         """Return the submap of a track; None before its first keyframe."""
@@ -321,18 +352,18 @@ class Mapper:
         else:
             node, submap = submap.extended(self._nodes[number - 1], number, estimate)
         self._nodes[number] = node
-        self._recent.append(number)
+        self._newest.young.append(number)
         return submap
 
     def _without_redundant(self, submap: Submap, t_ns: int) -> Submap:
         """Return a submap without the redundant ones of the keyframes that have become old enough."""
-        c = self._config
-        while len(self._recent) > 1 and t_ns - self._keyframes[self._recent[0]].t_ns >= c.min_age_s * 1e9:
-            number = self._recent.popleft()
+        young, min_age_ns = self._newest.young, self._config.min_age_s * 1e9
+        while len(young) > 1 and t_ns - self._keyframes[young[0]].t_ns >= min_age_ns:
+            number = young.popleft()
             if not self._is_redundant(submap, self._keyframes[number]):
                 continue
             previous = next(each.first for each in reversed(submap.graph.odometry) if each.second == number)
-            submap = submap.without(number, self._nodes[previous], self._nodes[self._recent[0]].estimate)
+            submap = submap.without(number, self._nodes[previous], self._nodes[young[0]].estimate)
             self._closed.update(submap.closed_loops)  # those that were passed on are not new
             self._recognizer.remove(number)
             self._keyframes[number] = self._keyframes[number].without_features
@@ -365,42 +396,44 @@ class Mapper:
         Two keyframes have to lead to the same pose, see `agreeing_loops`. The map stays where it is; of two other
         submaps, the earlier one does.
         """
-        self._between = (*self._between, *loops)[-MAX_BETWEEN:] if loops else self._between
+        newest = self._newest
+        newest.loops_between = (*newest.loops_between, *loops)[-MAX_BETWEEN:]
         for other in self._submaps:
-            found = [loop for loop in loops if loop.first in other.graph.poses]
-            if not found or other.tracks & submap.tracks:
+            is_reached = any(loop.first in other.graph.poses for loop in loops)
+            if not is_reached or other.tracks & submap.tracks:
                 continue
-            between = agreeing_loops(self._between, other, submap)
+            between = agreeing_loops(newest.loops_between, other, submap)
             if len({loop.second for loop in between}) > 1:
-                submap = submap.joined(other, between, t_ns, other_stays=self._home not in submap.tracks) or submap
+                submap = submap.joined(other, between, t_ns, other_stays=self._map_track not in submap.tracks) or submap
         return submap
 
     def _is_due(self, submap: Submap, t_ns: int) -> bool:
         """Return whether a submap has loops to optimize, and the last optimization is long enough ago."""
         c = self._config
-        interval_s = c.optimization_interval_s * max(submap.judged / c.interval_loops, 1.0)
+        interval_s = c.optimization_interval_s * max(submap.tested_loops / c.interval_loops, 1.0)
         is_late = submap.optimized_ns is None or t_ns - submap.optimized_ns >= interval_s * 1e9
         return submap.waiting > 0 and is_late
 
     def _localized(self, graph: PoseGraph, keyframe: MapKeyframe, images: KeyframeImages) -> list[RelativePose]:
         """Return the poses of a keyframe in the frames of earlier ones that are expected to show the same place."""
         c = self._config
-        if self._localized_ns is not None and keyframe.t_ns - self._localized_ns < c.localization_interval_s * 1e9:
+        last_ns = self._newest.localized_ns
+        if last_ns is not None and keyframe.t_ns - last_ns < c.localization_interval_s * 1e9:
             return []
         old = [k for k in self._references(graph, keyframe) if k.number in self._patches]
         if not old:
             return []
-        T_map_imu, found = graph.poses[keyframe.number], []
+        T_map_imu, loops = graph.poses[keyframe.number], []
         for row in nearest_views(np.stack([graph.poses[k.number] for k in old]), T_map_imu, c.covisibility):
             match = old[row]
             predicted = inverse_pose(graph.poses[match.number]) @ T_map_imu
             patches = self._patches[match.number]
             result = self._localizer.localize(keyframe, images, match, patches, predicted)
             if result is not None:
-                found.append(result)
-        if found:
-            self._localized_ns = keyframe.t_ns
-        return found
+                loops.append(result)
+        if loops:
+            self._newest.localized_ns = keyframe.t_ns
+        return loops
 
 
 def _loop(match: PlaceMatch) -> RelativePose:

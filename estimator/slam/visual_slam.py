@@ -150,7 +150,7 @@ class VisualSlam:
             correction = self._map.receive()
             if correction is None:
                 continue
-            self._loops = max(self._loops, correction.judged_loops)
+            self._loops = max(self._loops, correction.tested_loops)
             if correction.track == self._track:
                 self._T_map_odom, self._correction = correction.T_map_odom, correction
                 events += _events(correction)
@@ -203,12 +203,12 @@ class VisualSlam:
         mapper, solution = final.mapper, final.solution
         if solution is None:
             return None
-        found = replace(mapper.map_of(solution), adjustment=final.adjustment)
+        slam_map = replace(mapper.map_of(solution), adjustment=final.adjustment)
         # The correction is that of the causal path, which is then at the final poses where the keyframes are.
         return (
-            replace(found, Ts_odom_imu=self._measurements.causal_poses(mapper.keyframes))
-            if len(found.closed)
-            else found
+            replace(slam_map, Ts_odom_imu=self._measurements.causal_poses(mapper.keyframes))
+            if len(slam_map.closed)
+            else slam_map
         )
 
     def save_map(self, path: Path | str) -> None:
@@ -319,8 +319,8 @@ class VisualSlam:
             ConfigError: No keyframe of the flight has joined the map, or the recording is another one.
             InputError: The file cannot be written, or an image cannot be read.
         """
-        found = self.reconstruction()
-        write_ply(Path(path), found.reconstruction if recording is None else with_images(found, recording))
+        structure = self.reconstruction()
+        write_ply(Path(path), structure.reconstruction if recording is None else with_images(structure, recording))
 
     @single_threaded()
     def _final_solution(self) -> "_Final":

@@ -4,22 +4,4 @@ Simulation and estimation are passed in as a `dronevio.eval.benchmark.jobs.Bench
 imports neither the simulator nor the estimator.
 """
 
-from typing import TYPE_CHECKING
-
-from dronevio._lazy import attach
-
-if TYPE_CHECKING:
-    from dronevio.eval.benchmark.rows import read_results, read_rows, write_rows
-
-__all__ = [
-    "read_results",
-    "read_rows",
-    "write_rows",
-]
-
-__getattr__, __dir__ = attach(
-    __name__,
-    {
-        "dronevio.eval.benchmark.rows": ("read_results", "read_rows", "write_rows"),
-    },
-)
+__all__: list[str] = []

@@ -19,11 +19,12 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Literal, TypeAlias
 
-from dronevio.eval.benchmark.rows import Status
 from dronevio.models.errors import DEFECT, DronevioError
 
+Status: TypeAlias = Literal["ok", "failed", "timeout", "crashed"]
+"""How a run ended: with a result, with an error message, at the time limit, or with the death of its process."""
 _CHILD_CODE = "from dronevio.eval.benchmark.isolation import serve; serve()"
 _POLL_INTERVAL_S = 0.02
 _EXIT_WITH_RESULT = 4  # exit code of a child that has written its result

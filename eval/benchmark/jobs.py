@@ -67,7 +67,7 @@ class BenchmarkPipeline(Protocol):
         """
 
     def estimate(self, spec: RecordingSpec, recording: Path, estimator: str) -> dict[str, Any]:
-        """Run an estimator on a recording, score it, and return the columns of `Row` from ``coverage_percent`` on.
+        """Run an estimator on a recording, score it, and return the columns of `Row` with metrics.
 
         The peak memory is that of the process, unless it is among the columns.
         """
@@ -158,21 +158,17 @@ class Job:
 
     def row(self, estimator: str, outcome: Outcome) -> Row:
         """Return the row of a run with the given outcome."""
-        return Row(
-            self.spec.scenario,
-            self.spec.world,
-            self.spec.seed,
-            estimator,
-            self.pipeline.config_hash(estimator),
-            self.pipeline.versions,
-            outcome.status,
-            outcome.reason,
-            wall_s=outcome.wall_s,
-            recording_hash=self.spec.recording_hash,
-            machine="{processor}, {cores} cores, {system}".format(**machine_here()),
-            processor=processor_here(),
-            **{"peak_mb": outcome.peak_mb, **(outcome.value or {})},
-        )
+        run = {"scenario": self.spec.scenario, "world": self.spec.world, "seed": self.spec.seed, "estimator": estimator}
+        inputs = {
+            "config_hash": self.pipeline.config_hash(estimator),
+            "versions": self.pipeline.versions,
+            "recording_hash": self.spec.recording_hash,
+            "machine": "{processor}, {cores} cores, {system}".format(**machine_here()),
+            "processor": processor_here(),
+        }
+        ending = {"status": outcome.status, "reason": outcome.reason}
+        metrics = {"peak_mb": outcome.peak_mb, **(outcome.value or {}), "wall_s": outcome.wall_s}
+        return Row.from_columns({**run, **inputs, **ending, **metrics})
 
     def _record(self, folder: Path) -> None:
         """Make the recording in a process of its own, and store its resource usage."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from statistics import median
 
 from dronevio.eval.benchmark.rows import Row
+from dronevio.eval.benchmark.summary import known_values
 
 LARGE_ERROR_M = 0.02
 """Error of the odometry from which on loops must reduce it [m]."""
@@ -82,20 +83,20 @@ class LoopSummary:
     @classmethod
     def of(cls, rows: Iterable[Row]) -> "LoopSummary | None":
         """Return the summary of runs; None if no run has an error after the first revisit."""
-        scored = [row for row in rows if row.status == "ok" and row.rmse_after_revisit_m is not None]
+        scored = [row for row in rows if row.status == "ok" and row["rmse_after_revisit_m"] is not None]
         if not scored:
             return None
         odometry = [value for row in scored if (value := odometry_error_m(row)) is not None]
-        mapped = [row for row in scored if row.loops is not None]
-        recalls = [row.recall_percent for row in mapped if row.recall_percent is not None]
+        mapped = [row for row in scored if row["loops"] is not None]
+        recalls, loops, wrong = (known_values(mapped, name) for name in ("recall_percent", "loops", "wrong_loops"))
         return cls(
             len(scored),
             sum(value > LARGE_ERROR_M for value in odometry),
             median(odometry) if odometry else None,
             PathSummary.of(_pairs(mapped, "rmse_after_revisit_m")),
             PathSummary.of(_pairs(mapped, "final_after_revisit_m")),
-            sum(row.loops or 0 for row in mapped) if mapped else None,
-            sum(row.wrong_loops or 0 for row in mapped) if mapped else None,
+            int(sum(loops)) if mapped else None,
+            int(sum(wrong)) if mapped else None,
             median(recalls) if recalls else None,
             min(recalls, default=None),
         )
@@ -106,10 +107,10 @@ def odometry_error_m(row: Row) -> float | None:
 
     It is that of the scored path if the estimator has no map.
     """
-    return row.rmse_after_revisit_m if row.loops is None else row.odometry_after_revisit_m
+    return row["rmse_after_revisit_m"] if row["loops"] is None else row["odometry_after_revisit_m"]
 
 
-def _pairs(rows: Iterable[Row], column: str) -> list[tuple[float, float]]:
-    """Return the errors of a column and those of the odometry [m], of the runs that have both."""
-    found = [(getattr(row, column), row.odometry_after_revisit_m) for row in rows]
-    return [(error, odometry) for error, odometry in found if error is not None and odometry is not None]
+def _pairs(rows: Iterable[Row], metric: str) -> list[tuple[float, float]]:
+    """Return the errors of a path and those of the odometry [m], of the runs that have both."""
+    errors = [(row[metric], row["odometry_after_revisit_m"]) for row in rows]
+    return [(error, odometry) for error, odometry in errors if error is not None and odometry is not None]

@@ -37,7 +37,7 @@ class Verdict:
     """Whether a run has the expected outcome."""
 
     row: Row
-    """The run that is judged."""
+    """The run with this outcome."""
     expectation: Expectation
     """What was expected."""
     error_ratio: float | None
@@ -64,26 +64,27 @@ def verdicts(rows: Iterable[Row], expectations: Mapping[str, Expectation]) -> tu
         expectations: Expected outcomes by name of the scenario.
     """
     by_identity = {row.identity: row for row in rows}
-    judged = [(row, expectations[row.scenario]) for row in by_identity.values() if row.scenario in expectations]
-    if all(row.scenario == expected.reference for row, expected in judged):
+    expected_runs = [(row, expectations[row.scenario]) for row in by_identity.values() if row.scenario in expectations]
+    if all(row.scenario == expected.reference for row, expected in expected_runs):
         return ()
     return tuple(
         _verdict(row, by_identity.get((expected.reference, row.seed, row.estimator)), expected)
-        for row, expected in judged
+        for row, expected in expected_runs
     )
 
 
 def _verdict(row: Row, reference: Row | None, expectation: Expectation) -> Verdict:
     """Return the verdict on a run, given that of the flight without the fault."""
-    if row.status != "ok" or row.ate_m is None:
+    ate_m, reference_m = row["ate_m"], None if reference is None else reference["ate_m"]
+    if row.status != "ok" or ate_m is None:
         return Verdict(row, expectation, None, False, f"{row.status}, {row.reason}")
-    ratio = row.ate_m / reference.ate_m if reference is not None and reference.ate_m else None
+    ratio = ate_m / reference_m if reference_m else None
     outcome = f"error {ratio:.1f} ×" if ratio is not None else "error without a reference"
-    lost_s = row.longest_loss_s
+    lost_s, sigmas = row["longest_loss_s"], row["tracking_sigmas"]
     if lost_s:
         outcome += f", loss of {lost_s:.1f} s"
-    if row.tracking_sigmas is not None and row.tracking_sigmas > MAX_SIGMAS:
-        outcome += f", error of {row.tracking_sigmas:.1f} σ while tracking"
+    if sigmas is not None and sigmas > MAX_SIGMAS:
+        outcome += f", error of {sigmas:.1f} σ while tracking"
         return Verdict(row, expectation, ratio, False, outcome)
     bounded = ratio is not None and ratio <= expectation.max_error_ratio
     recovered = lost_s is not None and 0.0 < lost_s <= expectation.max_loss_s

@@ -48,14 +48,14 @@ class ResultStore:
 
     def _read(self) -> dict[Identity, Row]:
         """Return the stored rows; a damaged file counts as a run that has not been done."""
-        found = {}
+        stored = {}
         for path in sorted(self._runs.glob("*.parquet")):
             try:
                 rows: Iterable[Row] = read_rows(path)
             except InputError:
                 rows = ()
-            found.update({row.identity: row for row in rows})
-        return found
+            stored.update({row.identity: row for row in rows})
+        return stored
 
     def _file(self, identity: Identity) -> Path:
         """Return the path of a run's file; the hash distinguishes names that differ in replaced characters only."""

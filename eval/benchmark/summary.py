@@ -46,15 +46,20 @@ class Quartiles:
         return f"{median} ({lower}–{upper})" if shown else median
 
 
-def quartiles_of_errors(rows: Iterable[Row], column: str) -> Quartiles | None:
-    """Return the quartiles of a column of errors; None if no run that is ok has a value."""
+def quartiles_of_errors(rows: Iterable[Row], metric: str) -> Quartiles | None:
+    """Return the quartiles of a metric; None if no run that is ok has a value."""
     rows = list(rows)
     scored = [row for row in rows if row.status == "ok"]
-    values = [getattr(row, column) for row in scored if getattr(row, column) is not None]
+    values = known_values(scored, metric)
     failed = len(rows) - len(scored)
     if not values and (scored or not failed):
         return None
     return Quartiles.of([*values, *[math.inf] * failed], len(rows), failed)
+
+
+def known_values(rows: Iterable[Row], metric: str) -> list[float]:
+    """Return the values of a metric in the runs that have one."""
+    return [value for row in rows if (value := row[metric]) is not None]
 
 
 def quantile(ordered: Sequence[float], probability: float) -> float:
@@ -95,19 +100,19 @@ class RunGroup:
 
 def run_groups(rows: Sequence[Row]) -> tuple[RunGroup, ...]:
     """Return the runs by scenario and estimator, in the order in which these first occur."""
-    found: dict[tuple[str, str], list[Row]] = {}
+    groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
-        found.setdefault((row.scenario, row.estimator), []).append(row)
-    return tuple(RunGroup(*names, tuple(members)) for names, members in found.items())
+        groups.setdefault((row.scenario, row.estimator), []).append(row)
+    return tuple(RunGroup(*names, tuple(members)) for names, members in groups.items())
 
 
 def all_runs(rows: Sequence[Row]) -> tuple[RunGroup, ...]:
     """Return the runs of all scenarios by variant and estimator; none where that is a single scenario."""
-    found: dict[tuple[str, str], list[Row]] = {}
+    members: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         variant = row.scenario.partition(VARIANT_SIGN)[2]
-        found.setdefault((f"{ALL_SCENARIOS}{variant and f', {variant}'}", row.estimator), []).append(row)
-    groups = (RunGroup(*names, tuple(members)) for names, members in found.items())
+        members.setdefault((f"{ALL_SCENARIOS}{variant and f', {variant}'}", row.estimator), []).append(row)
+    groups = (RunGroup(*names, tuple(runs)) for names, runs in members.items())
     return tuple(group for group in groups if len({row.scenario for row in group.rows}) > 1)
 
 
@@ -133,22 +138,21 @@ class AverageNees:
         from dronevio.eval.metrics.consistency import nees_bounds
 
         scored = [row for row in rows if row.status == "ok"]
-        runs = sum(row.nees_position is not None for row in scored)
+        runs = sum(row["nees_position"] is not None for row in scored)
         if not runs:
             return None
         return cls(
             runs,
-            _mean([row.nees_position for row in scored]),
-            _mean([row.nees_orientation for row in scored]),
-            _mean([row.nees_velocity for row in scored]),
+            _mean(known_values(scored, "nees_position")),
+            _mean(known_values(scored, "nees_orientation")),
+            _mean(known_values(scored, "nees_velocity")),
             nees_bounds(3, runs),
         )
 
 
-def _mean(values: Sequence[float | None]) -> float | None:
-    """Return the mean of the values that are known; None if there are none."""
-    known = [value for value in values if value is not None]
-    return math.fsum(known) / len(known) if known else None
+def _mean(values: Sequence[float]) -> float | None:
+    """Return the mean of values; None if there are none."""
+    return math.fsum(values) / len(values) if values else None
 
 
 def failed_runs(rows: Sequence[Row]) -> tuple[tuple[str, str, str], ...]:

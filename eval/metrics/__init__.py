@@ -40,6 +40,7 @@ from dronevio.eval.metrics.scores import (
     score,
     score_trajectory,
 )
+from dronevio.eval.metrics.trajectory_errors import ScoreOptions
 
 __all__ = [
     "IDENTITY",
@@ -54,6 +55,7 @@ __all__ = [
     "ReconstructionStatistics",
     "RelativeErrors",
     "ResidualField",
+    "ScoreOptions",
     "ScoredTrajectory",
     "Scores",
     "Statistics",

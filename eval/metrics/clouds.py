@@ -102,10 +102,10 @@ def mesh_points(vertices: Array, triangles: npt.NDArray[np.int64], spacing: floa
     edges = corners[..., :3] - np.roll(corners[..., :3], 1, axis=1)
     longest = np.sqrt(np.max(np.sum(edges**2, axis=2), axis=1, initial=0.0))
     count = np.maximum(np.ceil(longest / spacing).astype(np.int64), 1)
-    found = [np.zeros((0, vertices.shape[1]))]
+    samples = [np.zeros((0, vertices.shape[1]))]
     for n in np.unique(count).tolist():
         i, j = np.divmod(np.arange(n * n), n)
         i, j = i[i + j < n], j[i + j < n]
         shares = (np.stack([i, j, n - 1 - i - j], axis=1) + 1.0 / 3.0) / n
-        found.append(np.einsum("sk,fkd->fsd", shares, corners[count == n]).reshape(-1, vertices.shape[1]))
-    return np.concatenate(found)
+        samples.append(np.einsum("sk,fkd->fsd", shares, corners[count == n]).reshape(-1, vertices.shape[1]))
+    return np.concatenate(samples)

@@ -62,14 +62,14 @@ def errors_by_length(
         ConfigError: A length is not positive.
     """
     truth, estimate = (p_truth, quat_truth_wxyz), (p_estimate, quat_estimate_wxyz)
-    found = []
+    errors_of_lengths = []
     for length_m in lengths_m:
         pairs = pairs_of_length(p_truth, length_m)
         if not len(pairs[0]):
             continue
         errors_m, errors_rad = relative_errors(*truth, *estimate, pairs)
         yaw, tilt = _yaw_and_tilt_rad(quat_truth_wxyz, quat_estimate_wxyz, pairs)
-        found.append(
+        errors_of_lengths.append(
             LengthErrors(
                 length_m,
                 translation_m=Statistics.of(errors_m),
@@ -80,7 +80,7 @@ def errors_by_length(
                 drift_percent=Statistics.of(100.0 / length_m * drifts_m(*truth, *estimate, pairs)),
             )
         )
-    return tuple(found)
+    return tuple(errors_of_lengths)
 
 
 def pairs_of_length(p_truth: Array, length_m: float) -> Pairs:

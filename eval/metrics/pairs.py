@@ -71,6 +71,11 @@ class PairRule:
         """The distance with its unit as text, such as ``1 s``."""
         return f"{self.delta:g}{'°' if self.unit == 'deg' else ' ' + self.unit}"
 
+    @property
+    def delta_s(self) -> float | None:
+        """The distance [s]; None if its unit is not the second."""
+        return self.delta if self.unit == "s" else None
+
     def select(self, t_ns: Times, p: Array, quat_wxyz: Array) -> Pairs:
         """Return the pairs of poses with time stamps (N,), positions (N, 3) and orientations (N, 4)."""
         if self.selection == "consecutive":
@@ -178,14 +183,14 @@ def pairs_after_rotation(quat_wxyz: Array, delta_rad: float, tolerance_rad: floa
     tolerance_rad = _TOLERANCE * delta_rad if tolerance_rad is None else tolerance_rad
     q = components(quat_wxyz)
     rows = max(1, _BLOCK_SIZE // max(n, 1))
-    found = [(np.zeros(0, np.int64), np.zeros(0, np.int64))]
+    blocks = [(np.zeros(0, np.int64), np.zeros(0, np.int64))]
     for start in range(0, n, rows):
         block = np.arange(start, min(start + rows, n))
         rotation = product(select(conjugate(q), (block, None)), select(q, (None, slice(start, None))))
         near = np.abs(angles_rad(rotation) - delta_rad) <= tolerance_rad
         first, second = np.nonzero(near & (np.arange(n - start) > (block - start)[:, None]))
-        found.append((first + start, second + start))
-    return np.concatenate([pair[0] for pair in found]), np.concatenate([pair[1] for pair in found])
+        blocks.append((first + start, second + start))
+    return np.concatenate([pair[0] for pair in blocks]), np.concatenate([pair[1] for pair in blocks])
 
 
 def _cumulative(steps: Array, n: int) -> Array:

@@ -136,9 +136,9 @@ class Revisits:
     @property
     def revisiting(self) -> Flags:
         """(K,) Whether each frame revisits an earlier one."""
-        found = np.zeros(self.frames, dtype=np.bool_)
-        found[self.now] = True
-        return found
+        revisits = np.zeros(self.frames, dtype=np.bool_)
+        revisits[self.now] = True
+        return revisits
 
     @property
     def percent(self) -> float:
@@ -257,7 +257,7 @@ def _close_pairs(views: Views, rule: RevisitRule) -> tuple[Rows, Rows]:
     """Return the rows (M,) and (M,) of later and earlier frames that comply with all of a rule but covisibility."""
     n = len(views)
     positions, axes = views.Ts_world_cam[:, :3, 3], views.Ts_world_cam[:, :3, 2]
-    size, found = max(1, _BLOCK_SIZE // max(3 * n, 1)), [(np.zeros(0, np.int64), np.zeros(0, np.int64))]
+    size, blocks = max(1, _BLOCK_SIZE // max(3 * n, 1)), [(np.zeros(0, np.int64), np.zeros(0, np.int64))]
     for start in range(0, n, size):
         rows = np.arange(start, min(start + size, n))
         old = views.t_ns[rows, None] - views.t_ns >= round(rule.age_s * 1e9)
@@ -267,8 +267,8 @@ def _close_pairs(views: Views, rule: RevisitRule) -> tuple[Rows, Rows]:
         apart = np.linalg.norm(axes[rows, None] - axes, axis=-1)
         angle = 2.0 * np.arctan2(apart, np.linalg.norm(axes[rows, None] + axes, axis=-1))
         now, then = np.nonzero(old & away & near & (angle <= rule.angle_rad) & (rows[:, None] > np.arange(n)))
-        found.append((now + start, then))
-    return np.concatenate([pair[0] for pair in found]), np.concatenate([pair[1] for pair in found])
+        blocks.append((now + start, then))
+    return np.concatenate([pair[0] for pair in blocks]), np.concatenate([pair[1] for pair in blocks])
 
 
 def _farthest_around(ranges_m: Array) -> Array:

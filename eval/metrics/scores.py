@@ -1,171 +1,194 @@
-"""Scores of an estimated trajectory: all metrics at once, and the errors over time from which they are computed."""
+"""Scores of an estimated trajectory: all metrics, each declared with how it is computed from the errors at every pose.
 
-from dataclasses import dataclass, replace
+To add a metric, add a field to `Scores`: it is then in the JSON documents, tables, benchmarks and reports.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.eval.metrics.alignment import Alignment, AlignmentMode, align, umeyama
-from dronevio.eval.metrics.association import Association, associate, nearest_rows
-from dronevio.eval.metrics.consistency import Consistency, consistency, inside_percent
-from dronevio.eval.metrics.errors import (
-    Statistics,
-    relative_errors,
-    rotation_errors_rad,
-    translation_errors_m,
-)
-from dronevio.eval.metrics.lengths import DEFAULT_SHARES, LengthErrors, errors_by_length
-from dronevio.eval.metrics.pairs import PairRule
+from dronevio.eval.metrics.alignment import AlignmentMode, umeyama
+from dronevio.eval.metrics.association import Association, nearest_rows
+from dronevio.eval.metrics.consistency import inside_percent
+from dronevio.eval.metrics.errors import Statistics, translation_errors_m
+from dronevio.eval.metrics.lengths import LengthErrors
+from dronevio.eval.metrics.metric import Metric, computed, computed_values, metrics_of
+from dronevio.eval.metrics.trajectory_errors import Compared, ScoreOptions, TrajectoryErrors
 from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import Times
 from dronevio.models.state import Trajectory
 
 Array = npt.NDArray[np.float64]
 
-ONE_SECOND = PairRule()
-"""Pairs of poses 1 s apart, one from every pose on."""
 START_UP_S = 3.0
 """Time after the first frame before which frames do not count for the coverage [s]."""
 _FRAME_TOLERANCE_NS = 1_000_000  # between the time stamps of a frame and of its pose, which may be rounded
+_DEFAULTS = ScoreOptions()
 
 
 @dataclass(frozen=True)
 class Scores:
     """Scores of an estimated trajectory. Angles are in degrees, other quantities in SI units."""
 
-    alignment: AlignmentMode
+    alignment: AlignmentMode = computed(lambda e: e.given.options.alignment)
     """Alignment before errors were computed."""
-    align_poses: int | None
+    align_poses: int | None = computed(lambda e: e.given.options.align_poses)
     """Number of aligned poses, from the first on; None for all."""
-    association: Association
+    association: Association = computed(lambda e: e.given.options.association)
     """How the true pose of an estimated pose was found."""
-    time_offset_s: float
+    time_offset_s: float = computed(lambda e: e.given.options.time_offset_s)
     """Offset that was added to the estimate's time stamps [s]."""
-    n_poses: int
+    n_poses: int = computed(lambda e: len(e.truth))
     """Number of estimated poses that were compared with the truth."""
-    n_estimated: int
+    n_estimated: int = computed(lambda e: len(e.given.estimate))
     """Number of poses of the estimate."""
-    first_pose_s: float
-    """Time of the first compared pose after the first true pose [s]."""
-    last_pose_s: float
-    """Time of the last compared pose after the first true pose [s]."""
-    longest_gap_s: float
-    """Longest time between two successive compared poses [s]."""
-    path_m: float
+    path_m: float = computed(lambda e: e.truth.length_m, Metric("Length of the path", "m", 2, best=None))
     """Length of the true path over the compared poses [m]."""
-    ate_m: Statistics
+    ate_m: Statistics = computed(
+        lambda e: Statistics.of(e.translation_error_m),
+        Metric("ATE, position", "m", 4),
+        Metric("Largest position error", "m", 4, name="max_error_m", of=lambda ate_m: ate_m.max),
+    )
     """Absolute position error after alignment [m]."""
-    ate_deg: Statistics
+    ate_deg: Statistics = computed(
+        lambda e: Statistics.of(np.degrees(e.rotation_error_rad)), Metric("ATE, orientation", "°", 3)
+    )
     """Absolute orientation error after alignment [°]."""
-    rpe_interval: str
+    rpe_interval: str = computed(lambda e: e.given.options.rpe.label)
     """Distance between the two poses of a relative error, such as ``1 s`` or ``100 m``."""
-    rpe_delta_s: float | None
+    rpe_delta_s: float | None = computed(lambda e: e.given.options.rpe.delta_s)
     """The same distance [s]; None if its unit is not the second."""
-    rpe_pairs: int
+    rpe_pairs: int = computed(lambda e: len(e.rpe_m))
     """Number of pairs of poses at that distance."""
-    rpe_m: Statistics | None
+    rpe_m: Statistics | None = computed(lambda e: _statistics(e.rpe_m), Metric("RPE over {interval}, position", "m", 4))
     """Relative position error [m]; None without such pairs."""
-    rpe_deg: Statistics | None
+    rpe_deg: Statistics | None = computed(
+        lambda e: _statistics(np.degrees(e.rpe_rad)), Metric("RPE over {interval}, orientation", "°", 3)
+    )
     """Relative orientation error [°]; None without such pairs."""
-    lengths: tuple[LengthErrors, ...]
+    lengths: tuple[LengthErrors, ...] = computed(lambda e: e.lengths)
     """Errors by sub-trajectory length."""
-    drift_percent: float | None
+    drift_percent: float | None = computed(
+        lambda e: mean_drift_percent(e.lengths), Metric("Drift", "% of the path length", 3)
+    )
     """Mean drift over all sub-trajectories, relative to their lengths [%]; None without sub-trajectories."""
-    scale_error_percent: float | None
+    scale_error_percent: float | None = computed(
+        lambda e: scale_error_percent(e.truth.p_world_imu, e.unaligned.p_world_imu),
+        Metric("Scale error", "%", 2, signed=True),
+    )
     """Relative error of the scale, positive if the estimated path is too large [%]; None for a straight path."""
-    velocity_m_s: Statistics | None
+    velocity_m_s: Statistics | None = computed(
+        lambda e: _differences(e.truth.velocity_m_s, e.estimate.velocity_m_s), Metric("Velocity error", "m/s", 4)
+    )
     """Velocity error after alignment [m/s]; None if truth or estimate has no velocities."""
-    gyro_bias_rad_s: Statistics | None
+    gyro_bias_rad_s: Statistics | None = computed(
+        lambda e: _differences(e.truth.gyro_bias_rad_s, e.estimate.gyro_bias_rad_s),
+        Metric("Gyroscope bias", "rad/s", 5),
+    )
     """Error of the gyroscope bias [rad/s]; None if truth or estimate has no biases."""
-    accel_bias_m_s2: Statistics | None
+    accel_bias_m_s2: Statistics | None = computed(
+        lambda e: _differences(e.truth.accel_bias_m_s2, e.estimate.accel_bias_m_s2),
+        Metric("Accelerometer bias", "m/s²", 4),
+    )
     """Error of the accelerometer bias [m/s²]; None if truth or estimate has no biases."""
-    coverage_percent: float | None
+    coverage_percent: float | None = computed(
+        lambda e: _of_frames(coverage_percent, e), Metric("Coverage", "% of the frames", 1, best="high")
+    )
     """Share of the frames later than 3 s after the first that have a pose [%]; None without frame times."""
-    initialization_s: float | None
+    initialization_s: float | None = computed(
+        lambda e: _of_frames(initialization_s, e),
+        Metric("First pose after the first frame", "s", 3, best=None, name="start_s"),
+    )
     """Time from the first frame to the first estimated pose [s]; None without frame times."""
-    nees_position: float | None
+    first_pose_s: float = computed(
+        lambda e: float(e.truth.t_ns[0] - e.given.truth.t_ns[0]) * 1e-9, Metric("Time of the first pose", "s", 3)
+    )
+    """Time of the first compared pose after the first true pose [s]."""
+    last_pose_s: float = computed(lambda e: float(e.truth.t_ns[-1] - e.given.truth.t_ns[0]) * 1e-9)
+    """Time of the last compared pose after the first true pose [s]."""
+    nees_position: float | None = computed(
+        lambda e: e.consistency and float(e.consistency.position_nees.mean()),
+        Metric("NEES of the position, 3 expected", "", 2, best="three"),
+    )
     """Mean NEES of the position, 3 expected; larger values are overconfident; None without covariances."""
-    nees_orientation: float | None
+    nees_orientation: float | None = computed(
+        lambda e: e.consistency and float(e.consistency.orientation_nees.mean()),
+        Metric("NEES of the orientation, 3 expected", "", 2, best="three"),
+    )
     """Mean NEES of the orientation, 3 expected; larger values are overconfident; None without covariances."""
-    nees_velocity: float | None
+    nees_velocity: float | None = computed(
+        lambda e: _mean(e.consistency and e.consistency.velocity_nees),
+        Metric("NEES of the velocity, 3 expected", "", 2, best="three"),
+    )
     """Mean NEES of the velocity, 3 expected; larger values are overconfident; None without covariances or
     velocities."""
-    nees_position_inside_percent: float | None
+    nees_position_inside_percent: float | None = computed(
+        lambda e: e.consistency and inside_percent(e.consistency.position_nees)
+    )
     """Share of poses whose NEES of the position is within its two-sided 95 % bounds [%]; None without covariances."""
-    nees_orientation_inside_percent: float | None
+    nees_orientation_inside_percent: float | None = computed(
+        lambda e: e.consistency and inside_percent(e.consistency.orientation_nees)
+    )
     """Share of poses whose NEES of the orientation is within these bounds [%]; None without covariances."""
-    position_beyond_3_sigma_percent: float | None
+    position_beyond_3_sigma_percent: float | None = computed(
+        lambda e: e.consistency and 100.0 * e.consistency.position_exceedance,
+        Metric("Position errors beyond 3σ, 0.27 expected", "%", 2),
+    )
     """Share of position errors beyond 3σ [%]; 0.27 expected; None without covariances."""
-    orientation_beyond_3_sigma_percent: float | None
+    orientation_beyond_3_sigma_percent: float | None = computed(
+        lambda e: e.consistency and 100.0 * e.consistency.orientation_exceedance
+    )
     """Share of orientation errors beyond 3σ [%]; 0.27 expected; None without covariances."""
+    longest_gap_s: float = computed(
+        lambda e: float(np.diff(e.truth.t_ns).max()) * 1e-9, Metric("Longest time between two poses", "s", 3)
+    )
+    """Longest time between two successive compared poses [s]."""
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Self:
+        """Return the scores of a JSON document that `dataclasses.asdict` made; what it lacks is None.
+
+        Raises:
+            TypeError: The document has other fields.
+        """
+        lengths = tuple(LengthErrors(**_restored(errors)) for errors in values.get("lengths", ()))
+        known = _restored({each.name: values.get(each.name) for each in fields(cls)})
+        return cls(**known | {"lengths": lengths})
+
+
+SCORE_METRICS = metrics_of(Scores)
+"""The metrics of a trajectory by name."""
 
 
 @dataclass(frozen=True, eq=False)
-class ScoredTrajectory:
-    """An estimated trajectory with its errors at every pose."""
+class ScoredTrajectory(TrajectoryErrors):
+    """An estimated trajectory with its errors at every pose, and its scores."""
 
-    truth: Trajectory
-    """N true poses at the times of the estimate."""
-    estimate: Trajectory
-    """N estimated poses, aligned with the truth."""
-    alignment: Alignment
-    """Alignment of the estimate with the truth."""
-    translation_error_m: Array
-    """(N,) Distances between true and aligned estimated positions [m]."""
-    rotation_error_rad: Array
-    """(N,) Angles between true and aligned estimated orientations [rad]."""
-    rpe_t_ns: Times
-    """(M,) Time stamps of the first poses of the pairs of relative errors [ns]."""
-    rpe_m: Array
-    """(M,) Relative position errors [m]."""
-    rpe_rad: Array
-    """(M,) Relative orientation errors [rad]."""
-    consistency: Consistency | None
-    """Errors with estimated uncertainty, anchored at the first pose; None without covariances."""
-    scores: Scores
-    """Scores computed from these errors."""
+    @cached_property
+    def scores(self) -> Scores:
+        """Scores computed from these errors."""
+        return Scores(**computed_values(Scores, self))
 
 
 def score(
     truth: Trajectory,
     estimate: Trajectory,
     frame_times_ns: Times | None = None,
-    alignment: AlignmentMode = "yaw",
-    *,
-    align_poses: int | None = None,
-    rpe: PairRule = ONE_SECOND,
-    lengths_m: tuple[float, ...] | None = None,
-    association: Association = "interpolate",
-    max_gap_s: float | None = None,
-    time_offset_s: float = 0.0,
+    options: ScoreOptions = _DEFAULTS,
 ) -> Scores:
     """Return the scores of an estimate; see `score_trajectory`, which also returns the errors at every pose."""
-    return score_trajectory(
-        truth,
-        estimate,
-        frame_times_ns,
-        alignment,
-        align_poses=align_poses,
-        rpe=rpe,
-        lengths_m=lengths_m,
-        association=association,
-        max_gap_s=max_gap_s,
-        time_offset_s=time_offset_s,
-    ).scores
+    return score_trajectory(truth, estimate, frame_times_ns, options).scores
 
 
 def score_trajectory(
     truth: Trajectory,
     estimate: Trajectory,
     frame_times_ns: Times | None = None,
-    alignment: AlignmentMode = "yaw",
-    *,
-    align_poses: int | None = None,
-    rpe: PairRule = ONE_SECOND,
-    lengths_m: tuple[float, ...] | None = None,
-    association: Association = "interpolate",
-    max_gap_s: float | None = None,
-    time_offset_s: float = 0.0,
+    options: ScoreOptions = _DEFAULTS,
 ) -> ScoredTrajectory:
     """Return the scores of an estimate, and its errors at every pose.
 
@@ -173,92 +196,15 @@ def score_trajectory(
         truth: The true trajectory of the IMU.
         estimate: The estimated trajectory, in any world frame whose z axis is up.
         frame_times_ns: (M,) Time stamps of all frames [ns], from which the coverage is computed.
-        alignment: What is aligned before errors are computed.
-        align_poses: Number of poses to align, from the first on; None for all.
-        rpe: Rule by which the pairs of poses of relative errors are selected.
-        lengths_m: Lengths of sub-trajectories [m]; None for 10 % to 50 % of the true path.
-        association: How the true pose of an estimated pose is found.
-        max_gap_s: Longest gap of the truth that is interpolated, or largest time difference to the nearest true pose
-            [s]; None for 0.5 s and 0.01 s, respectively.
-        time_offset_s: Offset to add to the estimate's time stamps [s]; see `estimate_time_offset_s`.
+        options: How the two are compared.
 
     Raises:
         ConfigError: An option does not exist or is out of range.
         EvaluationError: Truth and estimate have fewer than three poses in common, or cannot be aligned.
     """
-    shifted = replace(estimate, t_ns=estimate.t_ns + round(time_offset_s * 1e9)) if time_offset_s else estimate
-    true, estimated = associate(truth, shifted, association, max_gap_s)
-    motion = align(
-        true.p_world_imu,
-        estimated.p_world_imu,
-        alignment,
-        n=align_poses,
-        quat_truth_wxyz=true.quat_wxyz,
-        quat_estimate_wxyz=estimated.quat_wxyz,
-    )
-    aligned = motion.apply(estimated)
-    poses = true.p_world_imu, true.quat_wxyz, aligned.p_world_imu, aligned.quat_wxyz
-    pairs = rpe.select(true.t_ns, *(poses[:2] if rpe.source == "truth" else poses[2:]))
-    rpe_m, rpe_rad = relative_errors(*poses, pairs)
-    translation_error_m = translation_errors_m(true.p_world_imu, aligned.p_world_imu)
-    rotation_error_rad = rotation_errors_rad(true.quat_wxyz, aligned.quat_wxyz)
-    path_m = true.length_m
-    lengths = errors_by_length(*poses, default_lengths_m(path_m) if lengths_m is None else lengths_m)
-    anchored = consistency(true, estimated) if estimated.covariance is not None else None
-    scores = Scores(
-        alignment=alignment,
-        align_poses=align_poses,
-        association=association,
-        time_offset_s=time_offset_s,
-        n_poses=len(true),
-        n_estimated=len(estimate),
-        first_pose_s=float(true.t_ns[0] - truth.t_ns[0]) * 1e-9,
-        last_pose_s=float(true.t_ns[-1] - truth.t_ns[0]) * 1e-9,
-        longest_gap_s=float(np.diff(true.t_ns).max()) * 1e-9,
-        path_m=path_m,
-        ate_m=Statistics.of(translation_error_m),
-        ate_deg=Statistics.of(np.degrees(rotation_error_rad)),
-        rpe_interval=rpe.label,
-        rpe_delta_s=rpe.delta if rpe.unit == "s" else None,
-        rpe_pairs=len(rpe_m),
-        rpe_m=Statistics.of(rpe_m) if len(rpe_m) else None,
-        rpe_deg=Statistics.of(np.degrees(rpe_rad)) if len(rpe_m) else None,
-        lengths=lengths,
-        drift_percent=mean_drift_percent(lengths),
-        scale_error_percent=scale_error_percent(true.p_world_imu, estimated.p_world_imu),
-        velocity_m_s=_differences(true.velocity_m_s, aligned.velocity_m_s),
-        gyro_bias_rad_s=_differences(true.gyro_bias_rad_s, aligned.gyro_bias_rad_s),
-        accel_bias_m_s2=_differences(true.accel_bias_m_s2, aligned.accel_bias_m_s2),
-        coverage_percent=None if frame_times_ns is None else coverage_percent(frame_times_ns, estimate.t_ns),
-        initialization_s=None if frame_times_ns is None else initialization_s(frame_times_ns, estimate.t_ns),
-        nees_position=None if anchored is None else float(anchored.position_nees.mean()),
-        nees_orientation=None if anchored is None else float(anchored.orientation_nees.mean()),
-        nees_velocity=None
-        if anchored is None or anchored.velocity_nees is None
-        else float(anchored.velocity_nees.mean()),
-        nees_position_inside_percent=None if anchored is None else inside_percent(anchored.position_nees),
-        nees_orientation_inside_percent=None if anchored is None else inside_percent(anchored.orientation_nees),
-        position_beyond_3_sigma_percent=None if anchored is None else 100.0 * anchored.position_exceedance,
-        orientation_beyond_3_sigma_percent=None if anchored is None else 100.0 * anchored.orientation_exceedance,
-    )
-    return ScoredTrajectory(
-        true,
-        aligned,
-        motion,
-        translation_error_m,
-        rotation_error_rad,
-        true.t_ns[pairs[0]],
-        rpe_m,
-        rpe_rad,
-        anchored,
-        scores,
-    )
-
-
-def default_lengths_m(path_m: float) -> tuple[float, ...]:
-    """Return 10 % to 50 % of the length of a path [m], rounded down to centimetres; lengths of zero are omitted."""
-    rounded = (int(share * path_m * 100.0) / 100.0 for share in DEFAULT_SHARES)
-    return tuple(length_m for length_m in rounded if length_m > 0.0)
+    scored = ScoredTrajectory.of(Compared(truth, estimate, frame_times_ns, options))
+    _ = scored.scores  # whose errors are raised here
+    return scored
 
 
 def mean_drift_percent(lengths: tuple[LengthErrors, ...]) -> float | None:
@@ -308,3 +254,23 @@ def _differences(truth: Array | None, estimate: Array | None) -> Statistics | No
     if truth is None or estimate is None:
         return None
     return Statistics.of(translation_errors_m(truth, estimate))
+
+
+def _statistics(errors: Array) -> Statistics | None:
+    """Return the statistics of errors (N,); None without any."""
+    return Statistics.of(errors) if len(errors) else None
+
+
+def _mean(values: Array | None) -> float | None:
+    return None if values is None else float(values.mean())
+
+
+def _of_frames(metric: Callable[[Times, Times], float | None], errors: TrajectoryErrors) -> float | None:
+    """Return a metric of the time stamps of frames and estimated poses; None if the former are not known."""
+    frame_times_ns = errors.given.frame_times_ns
+    return None if frame_times_ns is None else metric(frame_times_ns, errors.given.estimate.t_ns)
+
+
+def _restored(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a JSON object, with the objects among them as statistics."""
+    return {name: Statistics(**value) if isinstance(value, dict) else value for name, value in values.items()}

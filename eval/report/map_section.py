@@ -7,10 +7,11 @@ from markupsafe import Markup
 
 from dronevio.eval.map_results import MapResults, online_correction
 from dronevio.eval.metrics import IDENTITY, ScoredTrajectory
+from dronevio.eval.metrics.metric import DASH
 from dronevio.eval.report import map_plots
 from dronevio.eval.report.figures import svg_plot
 from dronevio.eval.report.model import RunResults
-from dronevio.eval.report.tables import DASH, Cell, Table
+from dronevio.eval.report.tables import Cell, Table
 from dronevio.eval.report.templating import Tile, number
 
 _GRAPH_HEIGHT_IN, _PLOT_HEIGHT_IN = 3.7, 2.7
@@ -30,19 +31,19 @@ class MapSection:
 
 def map_section(results: RunResults) -> MapSection | None:
     """Return the section about the map of a run; None without a map."""
-    if (of_map := results.map) is None:
+    if (mapped := results.map) is None:
         return None
-    table = None if results.scored is None else score_table(results.scored, of_map)
-    return MapSection(tuple(_tiles(of_map)), table, tuple(_plots(results, of_map)))
+    table = None if results.scored is None else score_table(results.scored, mapped)
+    return MapSection(tuple(_tiles(mapped)), table, tuple(_plots(results, mapped)))
 
 
-def score_table(odometry: ScoredTrajectory, of_map: MapResults) -> Table:
+def score_table(odometry: ScoredTrajectory, mapped: MapResults) -> Table:
     """Return the scores of the odometry, the online and the final path, with the ratio of each to the odometry."""
     rows = []
     for name, scored in (
         ("odometry", odometry),
-        ("map, online", of_map.scored_online),
-        ("map, final", of_map.scored_final),
+        ("map, online", mapped.scored_online),
+        ("map, final", mapped.scored_final),
     ):
         if scored is not None:
             scores, ate_m = scored.scores, scored.scores.ate_m.rmse
@@ -61,28 +62,28 @@ def score_table(odometry: ScoredTrajectory, of_map: MapResults) -> Table:
     return Table("Scores of the odometry and of the corrected paths", columns, tuple(rows))
 
 
-def _tiles(of_map: MapResults) -> Iterator[Tile]:
+def _tiles(mapped: MapResults) -> Iterator[Tile]:
     """Yield the numbers of the section."""
-    closed, rejected = len(of_map.map.closed), int(of_map.map.rejected.sum())
+    closed, rejected = len(mapped.map.closed), int(mapped.map.rejected.sum())
     yield Tile("Loops", str(closed), "", "relative poses of keyframes that see a place again")
     yield Tile("Rejected loops", str(rejected), "", "which contradict the others")
-    yield Tile("Keyframes", str(len(of_map.map.t_ns)), "", "of the map")
-    yield Tile("Points", str(len(of_map.map.points)), "", "of the map")
-    if of_map.map.adjustment:
-        outcome, _, reason = of_map.map.adjustment.partition(": ")
+    yield Tile("Keyframes", str(len(mapped.map.t_ns)), "", "of the map")
+    yield Tile("Points", str(len(mapped.map.points)), "", "of the map")
+    if mapped.map.adjustment:
+        outcome, _, reason = mapped.map.adjustment.partition(": ")
         yield Tile("Bundle adjustment", outcome, "", reason)
 
 
-def _plots(results: RunResults, of_map: MapResults) -> Iterator[Markup]:
+def _plots(results: RunResults, mapped: MapResults) -> Iterator[Markup]:
     """Yield the plots of the section."""
-    slam_map, truth, origin_ns = of_map.map, results.recording.ground_truth, results.origin_ns
+    slam_map, truth, origin_ns = mapped.map, results.recording.ground_truth, results.origin_ns
     before = IDENTITY if results.scored is None else results.scored.alignment
-    after = of_map.final_alignment
+    after = mapped.final_alignment
     alt = f"{len(slam_map.t_ns)} keyframes, {len(slam_map.closed)} loops, {int(slam_map.rejected.sum())} rejected"
     yield svg_plot(_GRAPH_HEIGHT_IN, lambda ax: map_plots.draw_graph_before(ax, slam_map, before, truth), alt)
     yield svg_plot(_GRAPH_HEIGHT_IN, lambda ax: map_plots.draw_graph_after(ax, slam_map, after, truth), alt)
     if (scored := results.scored) is not None:
-        yield svg_plot(_PLOT_HEIGHT_IN, lambda ax: map_plots.draw_map_errors(ax, scored, of_map, origin_ns))
+        yield svg_plot(_PLOT_HEIGHT_IN, lambda ax: map_plots.draw_map_errors(ax, scored, mapped, origin_ns))
     correction = online_correction(results.run.estimates)
     yield svg_plot(_PLOT_HEIGHT_IN, lambda ax: map_plots.draw_correction(ax, correction, slam_map, origin_ns))
     yield svg_plot(_PLOT_HEIGHT_IN, lambda ax: map_plots.draw_yaw_correction(ax, correction, slam_map, origin_ns))

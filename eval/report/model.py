@@ -22,15 +22,15 @@ they are not known:
 
 from collections import Counter
 from dataclasses import asdict, dataclass
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.eval.map_results import MapResults
-from dronevio.eval.metrics import IDENTITY, ScoredTrajectory
+from dronevio.eval.map_results import MapResults, MapSummary
+from dronevio.eval.metrics import IDENTITY, ScoredTrajectory, Scores
 from dronevio.eval.provenance import RunInfo
-from dronevio.eval.run import EstimatorRun
+from dronevio.eval.run import EstimatorRun, Innovations
 from dronevio.models.defects import defect_values
 from dronevio.models.policies.outcome import PolicyOutcome
 from dronevio.models.protocols import Recording
@@ -93,65 +93,154 @@ class RunResults:
         return int(self.recording.frame_times_ns[0])
 
 
-def report_values(results: RunResults) -> dict[str, object]:
-    """Return the content of ``report.json``."""
-    info = results.info
-    return {
-        "format": FORMAT,
-        "title": info.title,
-        "command": info.command,
-        "open_command": info.open_command,
-        "seed": info.seed,
-        "flight": _flight_values(results),
-        "scores": None if results.scored is None else asdict(results.scored.scores),
-        "timing": _timing_values(results.run),
-        "control": None if results.control is None else asdict(results.control),
-        "policy": None if results.policy is None else asdict(results.policy),
-        "estimator": _estimator_values(results),
-        "map": None if results.map is None else results.map.values,
-        "defects": defect_values(results.run.defects),
-        "configuration": info.configuration,
-        "versions": info.versions,
-        "machine": info.machine,
-    }
+@dataclass(frozen=True)
+class FlightSummary:
+    """What a flight is like."""
+
+    name: str
+    """Name of the recording."""
+    duration_s: float
+    """Time from the first frame to the last [s]."""
+    frames: int
+    """Number of frames."""
+    path_m: float
+    """Length of the true path, or of the estimated one without ground truth [m]."""
+    peak_speed_m_s: float | None
+    """Largest speed on this path [m/s]; None if it is not known."""
+    peak_angular_rate_deg_s: float | None
+    """Largest angular rate of the gyroscope's samples [°/s]; None without samples."""
+
+    @classmethod
+    def of(cls, results: RunResults) -> Self:
+        """Return the summary of the flight of a run."""
+        recording = results.recording
+        trajectory = recording.ground_truth or results.estimate
+        velocity = np.zeros((0, 3)) if trajectory.velocity_m_s is None else trajectory.velocity_m_s
+        speed, angular_rate = (np.linalg.norm(v, axis=1) for v in (velocity, recording.imu.gyro_rad_s))
+        return cls(
+            name=recording.name,
+            duration_s=float(np.ptp(recording.frame_times_ns)) * 1e-9,
+            frames=len(recording.frame_times_ns),
+            path_m=trajectory.length_m,
+            peak_speed_m_s=float(speed.max()) if len(speed) else None,
+            peak_angular_rate_deg_s=float(np.degrees(angular_rate.max())) if len(angular_rate) else None,
+        )
 
 
-def _flight_values(results: RunResults) -> dict[str, object]:
-    recording = results.recording
-    trajectory = recording.ground_truth or results.estimate
-    velocity = np.zeros((0, 3)) if trajectory.velocity_m_s is None else trajectory.velocity_m_s
-    speed, angular_rate = (np.linalg.norm(v, axis=1) for v in (velocity, recording.imu.gyro_rad_s))
-    return {
-        "name": recording.name,
-        "duration_s": float(np.ptp(recording.frame_times_ns)) * 1e-9,
-        "frames": len(recording.frame_times_ns),
-        "path_m": trajectory.length_m,
-        "peak_speed_m_s": float(speed.max()) if len(speed) else None,
-        "peak_angular_rate_deg_s": float(np.degrees(angular_rate.max())) if len(angular_rate) else None,
-    }
+@dataclass(frozen=True)
+class Timing:
+    """Time per frame of a run; None without frames."""
+
+    cpu_ms_mean: float | None = None
+    """Mean processor time per frame [ms]."""
+    cpu_ms_p99: float | None = None
+    """99th percentile of the processor time per frame [ms]."""
+    wall_ms_mean: float | None = None
+    """Mean elapsed time per frame [ms]."""
+    wall_ms_p99: float | None = None
+    """99th percentile of the elapsed time per frame [ms]."""
+    real_time_factor: float | None = None
+    """Seconds of flight per second of processor time."""
+
+    @classmethod
+    def of(cls, run: EstimatorRun) -> Self:
+        """Return the times of a run."""
+        if not len(run.estimates):
+            return cls()
+        return cls(
+            float(run.cpu_ms.mean()),
+            float(np.percentile(run.cpu_ms, 99)),
+            float(run.wall_ms.mean()),
+            float(np.percentile(run.wall_ms, 99)),
+            run.real_time_factor,
+        )
 
 
-def _timing_values(run: EstimatorRun) -> dict[str, object]:
-    if not len(run.estimates):
-        return dict.fromkeys(("cpu_ms_mean", "cpu_ms_p99", "wall_ms_mean", "wall_ms_p99", "real_time_factor"))
-    return {
-        "cpu_ms_mean": float(run.cpu_ms.mean()),
-        "cpu_ms_p99": float(np.percentile(run.cpu_ms, 99)),
-        "wall_ms_mean": float(run.wall_ms.mean()),
-        "wall_ms_p99": float(np.percentile(run.wall_ms, 99)),
-        "real_time_factor": run.real_time_factor,
-    }
+@dataclass(frozen=True)
+class RunWarning:
+    """An event that tells of wrong measurements or a wrong calibration."""
+
+    t_s: float
+    """Time after the first frame [s]."""
+    text: str
+    """The event in words."""
 
 
-def _estimator_values(results: RunResults) -> dict[str, object]:
-    run = results.run
-    poses_ns = run.trajectory.t_ns
-    return {
-        "poses": len(poses_ns),
-        "first_pose_s": float(poses_ns[0] - results.origin_ns) * 1e-9 if len(poses_ns) else None,
-        "mean_tracks": float(run.n_tracks.mean()) if len(run.estimates) else None,
-        "keyframes": sum("keyframe" in estimate.events for estimate in run.estimates),
-        "health": dict(Counter(str(estimate.health) for estimate in run.estimates)),
-        "innovations": None if run.innovations is None else asdict(run.innovations),
-        "warnings": [{"t_s": (t_ns - results.origin_ns) * 1e-9, "text": text} for t_ns, text in run.warnings],
-    }
+@dataclass(frozen=True)
+class EstimatorSummary:
+    """What an estimator reported during a run."""
+
+    poses: int
+    """Number of frames with a valid pose."""
+    first_pose_s: float | None
+    """Time of the first one after the first frame [s]; None without poses."""
+    mean_tracks: float | None
+    """Mean number of tracked features; None without frames."""
+    keyframes: int
+    """Number of keyframes."""
+    health: dict[str, int]
+    """Number of frames of each state."""
+    innovations: Innovations | None
+    """Agreement of images and predictions; None if it is not known."""
+    warnings: tuple[RunWarning, ...]
+    """The events that tell of wrong measurements or a wrong calibration."""
+
+    @classmethod
+    def of(cls, results: RunResults) -> Self:
+        """Return the summary of a run."""
+        run, origin_ns = results.run, results.origin_ns
+        poses_ns = run.trajectory.t_ns
+        return cls(
+            poses=len(poses_ns),
+            first_pose_s=float(poses_ns[0] - origin_ns) * 1e-9 if len(poses_ns) else None,
+            mean_tracks=float(run.n_tracks.mean()) if len(run.estimates) else None,
+            keyframes=sum("keyframe" in estimate.events for estimate in run.estimates),
+            health=dict(Counter(str(estimate.health) for estimate in run.estimates)),
+            innovations=run.innovations,
+            warnings=tuple(RunWarning((t_ns - origin_ns) * 1e-9, text) for t_ns, text in run.warnings),
+        )
+
+
+@dataclass(frozen=True)
+class RunReport:
+    """The figures of a run: the content of ``report.json``."""
+
+    info: RunInfo
+    """Provenance of the run."""
+    flight: FlightSummary
+    """What the flight is like."""
+    scores: Scores | None
+    """Scores of the estimate; None without ground truth."""
+    timing: Timing
+    """Time per frame."""
+    control: ControlResult | None
+    """Control of a simulated flight; None for recordings."""
+    policy: PolicyOutcome | None
+    """Outcome of the flight of a policy; None for other flights."""
+    estimator: EstimatorSummary
+    """What the estimator reported."""
+    map: MapSummary | None
+    """The map and the scores of the corrected trajectories; None without a map."""
+    defects: dict[str, object]
+    """Number and first occurrence of each kind of defect of the recording."""
+
+    @classmethod
+    def of(cls, results: RunResults) -> Self:
+        """Return the figures of a run."""
+        return cls(
+            info=results.info,
+            flight=FlightSummary.of(results),
+            scores=None if results.scored is None else results.scored.scores,
+            timing=Timing.of(results.run),
+            control=results.control,
+            policy=results.policy,
+            estimator=EstimatorSummary.of(results),
+            map=None if results.map is None else results.map.summary,
+            defects=defect_values(results.run.defects),
+        )
+
+    @property
+    def values(self) -> dict[str, object]:
+        """The content of ``report.json``."""
+        sections = asdict(self)
+        return {"format": FORMAT, **sections.pop("info"), **sections}

@@ -1,7 +1,7 @@
 """The page of a run: scores, path, errors over time, consistency, cost, sample frames and provenance."""
 
 import base64
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -12,11 +12,12 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 
 from dronevio.eval import colours
-from dronevio.eval.metrics import ScoredTrajectory, nees_bounds
+from dronevio.eval.metrics import ScoredTrajectory, Scores, nees_bounds
+from dronevio.eval.metrics.scores import SCORE_METRICS
 from dronevio.eval.report import plots
 from dronevio.eval.report.figures import svg_plot
 from dronevio.eval.report.map_section import map_section
-from dronevio.eval.report.model import RunResults
+from dronevio.eval.report.model import RunReport, RunResults
 from dronevio.eval.report.path3d import path_scene
 from dronevio.eval.report.templating import Tile, number, render_page
 from dronevio.eval.run import tracks_of
@@ -29,24 +30,24 @@ _LEGEND_AGES_FRAMES = (1, 3, 8, 20, 60)
 _PATH_HEIGHT_IN, _PLOT_HEIGHT_IN = 3.7, 2.7
 
 
-def run_page(results: RunResults, values: Mapping[str, object]) -> str:
+def run_page(results: RunResults, report: RunReport) -> str:
     """Return the page as HTML.
 
     Args:
         results: The results of the run.
-        values: The same as `dronevio.eval.report.model.report_values` returns them.
+        report: Its figures.
     """
     info, scored = results.info, results.scored
     return render_page(
         "run.html.j2",
         info.title,
-        _summary(values),
-        tiles=list(_tiles(values)),
+        _summary(report),
+        tiles=list(_tiles(report)),
         script="path3d.js",
         path_scene=path_scene(results.estimate, results.recording.ground_truth, results.outline, results.corrected),
         path_plots=list(_path_plots(results)),
         time_plots=list(_time_plots(results)),
-        of_map=map_section(results),
+        map_section=map_section(results),
         length_plots=[] if scored is None else list(_length_plots(scored)),
         consistency=None if scored is None else _consistency(scored, results.origin_ns),
         cost_plots=list(_cost_plots(results)),
@@ -54,60 +55,51 @@ def run_page(results: RunResults, values: Mapping[str, object]) -> str:
         tail_frames=TAIL_FRAMES,
         age_colours=_age_colours(np.array(_LEGEND_AGES_FRAMES)),
         open_command=info.open_command,
-        provenance=list(_provenance(results, values)),
+        provenance=list(_provenance(report)),
     )
 
 
-def _tiles(values: Mapping[str, object]) -> Iterator[Tile]:
+def _tiles(report: RunReport) -> Iterator[Tile]:
     """Yield the numbers at the top of the page."""
-    flight, timing = _section(values, "flight"), _section(values, "timing")
-    if values["scores"] is not None:
-        yield from _score_tiles(_section(values, "scores"))
-    percentile = f"processor time; 99 % of the frames take less than {number(timing['cpu_ms_p99'], 1)} ms"
-    yield Tile("Time per frame", number(timing["cpu_ms_mean"], 1), "ms", percentile)
+    flight, timing, policy, control = report.flight, report.timing, report.policy, report.control
+    if report.scores is not None:
+        yield from _score_tiles(report.scores)
+    percentile = f"processor time; 99 % of the frames take less than {number(timing.cpu_ms_p99, 1)} ms"
+    yield Tile("Time per frame", number(timing.cpu_ms_mean, 1), "ms", percentile)
     factor = "seconds of flight per second of processor time"
-    yield Tile("Real-time factor", number(timing["real_time_factor"], 1), "×", factor)
-    yield Tile("Path length", number(flight["path_m"], 1), "m", f"in {number(flight['duration_s'], 1)} s")
-    angular_rate = f"and angular rates of up to {number(flight['peak_angular_rate_deg_s'], 0)} °/s"
-    yield Tile("Peak speed", number(flight["peak_speed_m_s"], 2), "m/s", angular_rate)
-    if values["policy"] is not None:
-        policy, control = _section(values, "policy"), _section(values, "control")
-        result = "accomplished" if policy["success"] else "not accomplished"
-        meaning = f"{number(policy['distance_m'], 3)} m from the goal after {number(policy['duration_s'], 2)} s"
-        meaning += f", flown on the {control['flown_on']}; end: {policy['end']}"
-        yield Tile(f"Task of {policy['environment']}", result, "", meaning)
-    elif values["control"] is not None:
-        control = _section(values, "control")
-        meaning = f"r.m.s., flown on the {control['flown_on']}; at most {number(control['reference_max_m'], 3)} m"
-        yield Tile(
-            "Distance from the reference", number(control["reference_rmse_m"], 3), "m", meaning + _collision(control)
-        )
+    yield Tile("Real-time factor", number(timing.real_time_factor, 1), "×", factor)
+    yield Tile("Path length", number(flight.path_m, 1), "m", f"in {number(flight.duration_s, 1)} s")
+    angular_rate = f"and angular rates of up to {number(flight.peak_angular_rate_deg_s, 0)} °/s"
+    yield Tile("Peak speed", number(flight.peak_speed_m_s, 2), "m/s", angular_rate)
+    if control is None:
+        return
+    if policy is not None:
+        result = "accomplished" if policy.success else "not accomplished"
+        meaning = f"{number(policy.distance_m, 3)} m from the goal after {number(policy.duration_s, 2)} s"
+        meaning += f", flown on the {control.flown_on}; end: {policy.end}"
+        yield Tile(f"Task of {policy.environment}", result, "", meaning)
+    else:
+        meaning = f"r.m.s., flown on the {control.flown_on}; at most {number(control.reference_max_m, 3)} m"
+        meaning += "" if control.collision is None else f"; the drone {control.collision}"
+        yield Tile("Distance from the reference", number(control.reference_rmse_m, 3), "m", meaning)
 
 
-def _collision(control: Mapping[str, object]) -> str:
-    """Return the description of a collision, empty without one."""
-    return "" if control["collision"] is None else f"; the drone {control['collision']}"
+def _score_tiles(scores: Scores) -> Iterator[Tile]:
+    shown = {name: (metric.text(metric.of(scores)), metric.unit) for name, metric in SCORE_METRICS.items()}
+    words = {"yaw": "yaw and position aligned", "none": "not aligned"}
+    alignment = words.get(scores.alignment, f"alignment {scores.alignment}")
+    yield Tile("ATE", *shown["ate_m"], f"r.m.s., {alignment}; {''.join(shown['ate_deg'])}")
+    if scores.rpe_m is not None:
+        interval = f"r.m.s. over {scores.rpe_interval}; {''.join(shown['rpe_deg'])}"
+        yield Tile("RPE", *shown["rpe_m"], interval)
+    yield Tile("Scale error", *shown["scale_error_percent"], "of the estimated path")
+    yield Tile("Coverage", shown["coverage_percent"][0], "%", "of the frames after 3 s have a pose")
 
 
-def _score_tiles(scores: Mapping[str, object]) -> Iterator[Tile]:
-    ate, ate_deg = _section(scores, "ate_m"), _section(scores, "ate_deg")
-    alignment = {"yaw": "yaw and position aligned", "none": "not aligned"}.get(
-        str(scores["alignment"]), f"alignment {scores['alignment']}"
-    )
-    yield Tile("ATE", number(ate["rmse"], 3), "m", f"r.m.s., {alignment}; {number(ate_deg['rmse'], 2)}°")
-    if scores["rpe_m"] is not None:
-        rpe, rpe_deg = _section(scores, "rpe_m"), _section(scores, "rpe_deg")
-        interval = f"r.m.s. over {scores['rpe_interval']}; {number(rpe_deg['rmse'], 2)}°"
-        yield Tile("RPE", number(rpe["rmse"], 3), "m", interval)
-    yield Tile("Scale error", number(scores["scale_error_percent"], 2, sign=True), "%", "of the estimated path")
-    yield Tile("Coverage", number(scores["coverage_percent"], 1), "%", "of the frames after 3 s have a pose")
-
-
-def _summary(values: Mapping[str, object]) -> str:
-    flight = _section(values, "flight")
-    seed = "" if values["seed"] is None else f", seed {values['seed']}"
-    duration_s, path_m = number(flight["duration_s"], 1), number(flight["path_m"], 1)
-    return f"{flight['frames']} frames in {duration_s} s, path of {path_m} m{seed}"
+def _summary(report: RunReport) -> str:
+    flight, seed = report.flight, "" if report.info.seed is None else f", seed {report.info.seed}"
+    duration_s, path_m = number(flight.duration_s, 1), number(flight.path_m, 1)
+    return f"{flight.frames} frames in {duration_s} s, path of {path_m} m{seed}"
 
 
 def _path_plots(results: RunResults) -> Iterator[Markup]:
@@ -249,14 +241,14 @@ def _age_colours(ages_frames: npt.NDArray[np.int64]) -> list[str]:
     return ["#{:02x}{:02x}{:02x}".format(*rgb) for rgb in colours.age_colours(ages_frames).tolist()]
 
 
-def _provenance(results: RunResults, values: Mapping[str, object]) -> Iterator[tuple[str, object, bool]]:
+def _provenance(report: RunReport) -> Iterator[tuple[str, object, bool]]:
     """Yield title and content of the tables at the end of the page, and whether each is open."""
-    info = results.info
+    info, values = report.info, report.values
     run = {"command": info.command, "seed": "none: a recording" if info.seed is None else str(info.seed)}
     for title, content in (
         ("Run", run),
         ("Estimator", values["estimator"]),
-        ("Defects of the recording", values["defects"]),
+        ("Defects of the recording", report.defects),
         ("Scores", values["scores"]),
         ("Configuration", info.configuration),
         ("Versions", info.versions),
@@ -264,9 +256,3 @@ def _provenance(results: RunResults, values: Mapping[str, object]) -> Iterator[t
     ):
         if content:
             yield title, content, title in ("Run", "Versions", "Machine")
-
-
-def _section(values: Mapping[str, object], name: str) -> Mapping[str, object]:
-    section = values[name]
-    assert isinstance(section, Mapping)
-    return section

@@ -10,7 +10,7 @@ from dronevio.eval.map_results import MapResults
 from dronevio.eval.metrics import ScoredTrajectory
 from dronevio.eval.provenance import RunInfo
 from dronevio.eval.report.figures import figure, save_png
-from dronevio.eval.report.model import ControlResult, RunResults, report_values
+from dronevio.eval.report.model import ControlResult, RunReport, RunResults
 from dronevio.eval.report.page import run_page
 from dronevio.eval.report.plots import SIDE_VIEW, TOP_VIEW, draw_path
 from dronevio.eval.run import EstimatorRun
@@ -31,8 +31,8 @@ def write_report(
     control: ControlResult | None = None,
     policy: PolicyOutcome | None = None,
     map_results: MapResults | None = None,
-) -> None:
-    """Write ``report.html``, ``report.json`` and ``trajectory.png``.
+) -> RunReport:
+    """Write ``report.html``, ``report.json`` and ``trajectory.png``, and return the figures of the run.
 
     Args:
         folder: Existing folder for the files.
@@ -52,11 +52,12 @@ def write_report(
     run.check_belongs_to(recording)
     outline = np.zeros((0, 2, 3)) if outline is None else outline
     results = RunResults(info, recording, run, scored, outline, control, policy, map_results)
-    values = report_values(results)
-    text = json.dumps(values, indent=2, allow_nan=False, ensure_ascii=False)
+    report = RunReport.of(results)
+    text = json.dumps(report.values, indent=2, allow_nan=False, ensure_ascii=False)
     (folder / "report.json").write_text(text + "\n", encoding="utf-8")
-    (folder / "report.html").write_text(run_page(results, values), encoding="utf-8")
+    (folder / "report.html").write_text(run_page(results, report), encoding="utf-8")
     with figure(10.0, 4.6, columns=2) as (fig, axes):
         for ax, view in zip(axes, (TOP_VIEW, SIDE_VIEW), strict=True):
             draw_path(ax, view, results.estimate, recording.ground_truth, results.outline, results.corrected)
     save_png(fig, folder / "trajectory.png")
+    return report

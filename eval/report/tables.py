@@ -4,8 +4,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-DASH = "–"
-"""Text of an unknown value."""
 _MARKDOWN_SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|~$&!])")
 _LATEX_SPECIAL = {
     "\\": r"\textbackslash{}",

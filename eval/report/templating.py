@@ -13,7 +13,7 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from dronevio.eval.report.tables import DASH
+from dronevio.eval.metrics.metric import DASH
 
 _TEMPLATES = Path(__file__).parent / "templates"
 

@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dronevio.eval.metrics import IDENTITY, Alignment, AlignmentMode, ScoredTrajectory, score_trajectory
+from dronevio.eval.metrics import IDENTITY, Alignment, AlignmentMode, ScoredTrajectory, ScoreOptions, score_trajectory
+from dronevio.eval.metrics.scores import SCORE_METRICS
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import Times
@@ -49,7 +50,7 @@ def align_estimates(
     aligned = []
     for name, trajectory in zip(names, trajectories, strict=True):
         try:
-            scored = score_trajectory(truth or trajectories[0], trajectory, frame_times_ns, alignment)
+            scored = score_trajectory(truth or trajectories[0], trajectory, frame_times_ns, ScoreOptions(alignment))
         except EvaluationError as error:
             raise EvaluationError(f"{name}: {error}") from error
         aligned.append(NamedEstimate(name, trajectory, scored.alignment, None if truth is None else scored))
@@ -58,23 +59,14 @@ def align_estimates(
 
 def summary_table(estimates: Sequence[NamedEstimate]) -> str:
     """Return the main scores of each estimate as a Markdown table."""
+    shown = [SCORE_METRICS[name] for name in ("ate_m", "ate_deg", "rpe_m", "coverage_percent")]
     rows = ["| | ATE | ATE | RPE | coverage |", "|---|---:|---:|---:|---:|"]
     for estimate in estimates:
         scores = None if estimate.scored is None else estimate.scored.scores
-        values = (
-            (None, None, None, None)
-            if scores is None
-            else (
-                scores.ate_m.rmse,
-                scores.ate_deg.rmse,
-                None if scores.rpe_m is None else scores.rpe_m.rmse,
-                scores.coverage_percent,
-            )
-        )
-        formats = ((".3f", " m"), (".2f", "°"), (".3f", " m"), (".1f", " %"))
+        values = [None if scores is None else metric.of(scores) for metric in shown]
         cells = [
-            "–" if value is None else format(value, spec) + unit
-            for value, (spec, unit) in zip(values, formats, strict=True)
+            metric.text(value) if value is None else f"{metric.text(value)} {metric.unit}"
+            for value, metric in zip(values, shown, strict=True)
         ]
         rows.append(f"| {estimate.name} | {' | '.join(cells)} |")
     return "\n".join(rows) + "\n"

@@ -69,9 +69,9 @@ class EventLog:
 
     def _log_loops(self, estimates: Sequence[Estimate]) -> None:
         """Log a line between the two positions of each loop, from the frame on at which it was closed."""
-        found = [(estimate.t_ns, *pair) for estimate in estimates for pair in estimate.closed_loops_ns]
-        if found and self._p:
-            closed_ns, then_ns, now_ns = np.array(found, dtype=np.int64).T
+        loops = [(estimate.t_ns, *pair) for estimate in estimates for pair in estimate.closed_loops_ns]
+        if loops and self._p:
+            closed_ns, then_ns, now_ns = np.array(loops, dtype=np.int64).T
             columns = np.stack([self._positions_at(now_ns), self._positions_at(then_ns)], axis=1).astype(np.float32)
             distinct, counts = np.unique(closed_ns, return_counts=True)
             strips = rr.LineStrips3D.columns(strips=columns).partition(counts)

@@ -50,14 +50,14 @@ class RunFile:
         """Log the images of a frame; `finish` logs the estimates, which cannot be aligned before."""
         self._log.frame(frame)
 
-    def finish(self, run: EstimatorRun, scored: ScoredTrajectory | None, of_map: MapResults | None = None) -> None:
+    def finish(self, run: EstimatorRun, scored: ScoredTrajectory | None, mapped: MapResults | None = None) -> None:
         """Log the estimates of a run.
 
         Args:
             run: The estimates of all frames.
             scored: The estimated trajectory with its errors; None without ground truth. Path and landmarks are shown
                 with its alignment.
-            of_map: The map of the run with the corrected trajectories; None without a map.
+            mapped: The map of the run with the corrected trajectories; None without a map.
 
         Raises:
             EvaluationError: The run does not belong to the recording.
@@ -66,11 +66,11 @@ class RunFile:
         alignment = IDENTITY if scored is None else scored.alignment
         if self._recording.ground_truth is None:
             self._log.rig_poses(run.trajectory)
-        map_alignment = None if of_map is None else of_map.online_alignment
+        map_alignment = None if mapped is None else mapped.online_alignment
         log = self._log.estimator(ESTIMATE, colours.ESTIMATE, _fixed(alignment), map_alignment=map_alignment)
         _log_estimate(log, NamedEstimate(ESTIMATE, run.trajectory, alignment, scored, run))
-        if of_map is not None:
-            log.final_map(of_map)
+        if mapped is not None:
+            log.final_map(mapped)
 
 
 @contextmanager
@@ -104,7 +104,7 @@ def write_rrd(
     run: EstimatorRun,
     scored: ScoredTrajectory | None,
     *,
-    of_map: MapResults | None = None,
+    mapped: MapResults | None = None,
     surroundings: Surroundings = NO_SURROUNDINGS,
     progress: Progress = silent,
     video: VideoSettings | None = None,
@@ -116,7 +116,7 @@ def write_rrd(
         recording: The measurements.
         run: The estimates of all frames.
         scored: The estimated trajectory with its errors; None without ground truth.
-        of_map: The map of the run with the corrected trajectories; None without a map.
+        mapped: The map of the run with the corrected trajectories; None without a map.
         surroundings: Outline of the surroundings.
         progress: Called with the number of encoded frames.
         video: Size and quality of the video; None for the default.
@@ -126,8 +126,8 @@ def write_rrd(
         InputError: An image cannot be read; the file contains what was written before.
     """
     run.check_belongs_to(recording)
-    with run_file(path, recording, surroundings=surroundings, video=video, has_map=of_map is not None) as file:
-        file.finish(run, scored, of_map)
+    with run_file(path, recording, surroundings=surroundings, video=video, has_map=mapped is not None) as file:
+        file.finish(run, scored, mapped)
         for index, (estimate, cpu_ms) in enumerate(zip(run.estimates, run.cpu_ms, strict=True)):
             file.frame(recording.frame(index), estimate, float(cpu_ms))
             progress(index + 1, len(run.estimates))

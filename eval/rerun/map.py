@@ -63,10 +63,10 @@ class MapLog:
             results: The map with its alignment.
             alignment: Alignment of the odometry with the displayed world frame.
         """
-        slam_map, of_map, entities = results.map, results.final_alignment, self._entities
-        corrected = of_map.positions(results.final.p_world_imu)
+        slam_map, to_truth, entities = results.map, results.final_alignment, self._entities
+        corrected = to_truth.positions(results.final.p_world_imu)
         before = alignment.positions(slam_map.Ts_odom_imu[:, :3, 3])
-        after = of_map.positions(slam_map.Ts_map_imu[:, :3, 3])
+        after = to_truth.positions(slam_map.Ts_map_imu[:, :3, 3])
         self._strips(entities.path, [corrected], colours.CORRECTED)
         for entity, nodes, colour in (
             (entities.graph_before, before, colours.ESTIMATE),
@@ -80,7 +80,7 @@ class MapLog:
             (entities.rejected_loops, slam_map.loops[slam_map.rejected], colours.REJECTED_LOOP),
         ):
             self._strips(entity, list(after[rows]), colour)
-        points = of_map.positions(slam_map.points).astype(np.float32)
+        points = to_truth.positions(slam_map.points).astype(np.float32)
         rgb = colours.rgb(colours.SURROUNDINGS)
         self._sink.static(entities.points, rr.Points3D(points, colors=rgb, radii=_POINT_RADIUS))
 

@@ -126,8 +126,8 @@ def initial_camera(
         focal_px = ASSUMED_FISHEYE_FOCAL_RATIO * max(width, height)
         centre = (width - 1) / 2, (height - 1) / 2
         return CameraModel(width, height, focal_px, focal_px, *centre, lens="equidistant"), "assumed"
-    found = exif_focal_px(exif, width, height) if exif is not None else None
-    focal_px, source = found or (ASSUMED_FOCAL_RATIO * max(width, height), "assumed")
+    from_exif = exif_focal_px(exif, width, height) if exif is not None else None
+    focal_px, source = from_exif or (ASSUMED_FOCAL_RATIO * max(width, height), "assumed")
     camera = CameraModel(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
     return camera, source
 

@@ -189,17 +189,17 @@ def _check_sizes(path: Path) -> None:
         raise InputError(path, f"a header of {header} bytes", f"{_FORMAT}, with a header in the file")
 
 
-def _names(path: Path, found: list[str]) -> list[str]:
+def _names(path: Path, names: list[str]) -> list[str]:
     """Return the names of the arrays of a policy after a check that the file has these and no others.
 
     Raises:
         InputError: An array is missing or unknown, or there are too many.
     """
-    count = (len(found) - 2) // 2
+    count = (len(names) - 2) // 2
     if not 1 <= count <= MOST_LAYERS:
-        raise InputError(path, f"{len(found)} arrays", f"the scaling, and 1 to {MOST_LAYERS} layers of 2 arrays")
+        raise InputError(path, f"{len(names)} arrays", f"the scaling, and 1 to {MOST_LAYERS} layers of 2 arrays")
     expected = [_MEAN, _SCALE, *(name(index) for index in range(count) for name in (_weight, _bias))]
-    for name in found:
+    for name in names:
         if name not in expected:
             raise InputError(path, f"an array {shortened(name)}", f"arrays {', '.join(expected)}")
     return expected

@@ -225,15 +225,15 @@ def _ascii_vertices(path: Path, data: bytes, header: _Header) -> npt.NDArray[np.
         raise truncated(path, f"{len(rows)} rows where the header has {header.count} vertices")
     fields = [row.split() for row in rows]
     first_line = header.lines + header.skipped_rows + 1
-    wrong = next((i for i, found in enumerate(fields) if len(found) != len(names)), None)
+    wrong = next((i for i, words in enumerate(fields) if len(words) != len(names)), None)
     if wrong is not None:
         expected = f"{len(names)} values: {', '.join(names)[:80]}"
         raise InputError(path, f"{len(fields[wrong])} values", expected, first_line + wrong)
     try:
         values = parse_numbers(path, chain.from_iterable(fields))
     except InputError:
-        for i, found in enumerate(fields):
-            parse_numbers(path, found, first_line + i)  # the error with its line
+        for i, words in enumerate(fields):
+            parse_numbers(path, words, first_line + i)  # the error with its line
         raise
     vertices = np.empty(header.count, [(name, np.float64) for name in names])
     for k, name in enumerate(names):

@@ -40,14 +40,14 @@ def image_name(camera: int, stamp_ns: int) -> str:
     return f"cam{camera}/{stamp_ns}.png"
 
 
-def with_images(found: RecordedReconstruction, recording: Recording, folder: Path | None = None) -> Reconstruction:
+def with_images(recorded: RecordedReconstruction, recording: Recording, folder: Path | None = None) -> Reconstruction:
     """Return a reconstruction whose points have the mean gray value of the images where they are observed.
 
     Images have the names of their files below a folder for each camera, ``cam0`` and so on; those of a bag or a video
     keep the names by time stamps. Images that the recording lacks are left out.
 
     Args:
-        found: The reconstruction.
+        recorded: The reconstruction.
         recording: The recording of its images, of which one frame is read at a time.
         folder: Folder in which the images are written with their names; None to write none. Files of 8 bits are copied
             as they are, also coloured ones.
@@ -56,11 +56,11 @@ def with_images(found: RecordedReconstruction, recording: Recording, folder: Pat
         ConfigError: The recording has no frame at a time of an image.
         InputError: An image cannot be read or written.
     """
-    r = found.reconstruction
+    r = recorded.reconstruction
     by_image = np.argsort(r.observation_image, kind="stable")
     bounds = np.searchsorted(r.observation_image[by_image], np.arange(len(r.image_names) + 1))
     names, gray, is_there = list(r.image_names), np.zeros(len(r.observation_px)), np.zeros(len(r.image_names), np.bool_)
-    for i, index, image in _images(found, recording):
+    for i, index, image in _images(recorded, recording):
         is_there[i] = image.size > 0
         if not is_there[i]:
             continue
@@ -77,31 +77,31 @@ def with_images(found: RecordedReconstruction, recording: Recording, folder: Pat
     return coloured if is_there.all() else _with_some_images(coloured, is_there)
 
 
-def write_colmap_folder(folder: Path, found: RecordedReconstruction, recording: Recording) -> None:
+def write_colmap_folder(folder: Path, recorded: RecordedReconstruction, recording: Recording) -> None:
     """Write a folder from which programs that read models of COLMAP start: ``images``, and the model in ``sparse/0``.
 
     Args:
         folder: The folder to write to, empty or new.
-        found: The reconstruction.
+        recorded: The reconstruction.
         recording: The recording of its images.
 
     Raises:
         InputError: The folder cannot be written to or contains another model, or an image cannot be read.
         ConfigError: COLMAP does not have the lens of a camera, or the recording has no frame at a time of an image.
     """
-    write_colmap(folder / "sparse" / "0", with_images(found, recording, folder / "images"))
+    write_colmap(folder / "sparse" / "0", with_images(recorded, recording, folder / "images"))
 
 
-def _images(found: RecordedReconstruction, recording: Recording) -> Iterator[tuple[int, int, npt.NDArray[np.uint8]]]:
+def _images(recorded: RecordedReconstruction, recording: Recording) -> Iterator[tuple[int, int, npt.NDArray[np.uint8]]]:
     """Yield each image with its index in a reconstruction and the index of its frame in the recording."""
-    frames = np.searchsorted(recording.frame_times_ns, found.stamps_ns)
+    frames = np.searchsorted(recording.frame_times_ns, recorded.stamps_ns)
     latest, images = -1, tuple[npt.NDArray[np.uint8], ...]()
-    for i, (index, stamp_ns) in enumerate(zip(frames.tolist(), found.stamps_ns.tolist(), strict=True)):
+    for i, (index, stamp_ns) in enumerate(zip(frames.tolist(), recorded.stamps_ns.tolist(), strict=True)):
         if index == len(recording.frame_times_ns) or recording.frame_times_ns[index] != stamp_ns:
             raise ConfigError(f"{recording.name}: no frame at {stamp_ns} ns; expected the recording of the map")
         if index != latest:
             latest, images = index, recording.frame(index).images
-        yield i, index, images[int(found.reconstruction.image_camera[i])]
+        yield i, index, images[int(recorded.reconstruction.image_camera[i])]
 
 
 def _named(recording: Recording, camera: int, frame: int, name: str) -> tuple[str, Path | None]:

@@ -8,14 +8,14 @@ benchmark for evaluating visual-inertial odometry", IROS 2018).
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.defects import Defect, DefectKind
+from dronevio.models.defects import Defect
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel, ImuSamples, Times
 from dronevio.models.progress import Progress, silent
@@ -30,10 +30,9 @@ from dronevio.models.recordings.exported import interval_means
 from dronevio.models.recordings.files import write_text
 from dronevio.models.recordings.folder_contents import FolderContents, calibrated_rig
 from dronevio.models.recordings.folder_segments import point_samples, repaired_segments, strict_segments
-from dronevio.models.recordings.frame_groups import delays_of_frame
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text, read_frame_truth
 from dronevio.models.recordings.image_list import ImageList
-from dronevio.models.recordings.images import DamagedImageError, encode_png, read_grey, significant_bits_of_files
+from dronevio.models.recordings.images import assembled_frame, encode_png, read_grey, significant_bits_of_files
 from dronevio.models.recordings.segments import segment_name, split_at_steps
 from dronevio.models.recordings.timed_table import (
     TableFormat,
@@ -43,7 +42,7 @@ from dronevio.models.recordings.timed_table import (
 )
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rig import Rig, check_camera_count
-from dronevio.models.state import NO_IMAGE, CameraFrame, Trajectory
+from dronevio.models.state import CameraFrame, Trajectory
 
 Array = npt.NDArray[np.float64]
 
@@ -178,21 +177,12 @@ class EurocRecording:
             InputError: An image has another size than in the calibration; or it is missing or damaged, unless `repair`
                 is set.
         """
-        t_ns = int(self.frame_times_ns[index])
-        images: list[npt.NDArray[np.uint8]] = []
-        defects: list[Defect] = []
-        for files, camera, bits in zip(self.image_files, self.rig.cameras, self.image_bits, strict=True):
-            file, image = files[index], NO_IMAGE
-            try:
-                if file is not None:
-                    image = read_grey(file, camera.model.width, camera.model.height, bits)
-            except DamagedImageError as error:
-                if not self.repair:
-                    raise
-                defects.append(Defect(DefectKind.DAMAGED_IMAGE, t_ns, error.found))
-            images.append(image)
-        delays_ns = delays_of_frame(self.image_delays_ns[index])
-        return CameraFrame(t_ns, tuple(images), defects=tuple(defects), image_delays_ns=delays_ns)
+        files, models = (each[index] for each in self.image_files), (camera.model for camera in self.rig.cameras)
+        reads = [
+            None if file is None else partial(read_grey, file, model.width, model.height, bits)
+            for file, model, bits in zip(files, models, self.image_bits, strict=True)
+        ]
+        return assembled_frame(int(self.frame_times_ns[index]), reads, self.repair, self.image_delays_ns[index])
 
 
 def read_euroc_contents(
@@ -311,15 +301,6 @@ def read_groundtruth(path: Path | str) -> Trajectory:
         _columns(table.values, 10, 13),
         _columns(table.values, 13, 16),
     )
-
-
-def read_euroc_frame_times(folder: Path | str) -> Times:
-    """Return the time stamps (M,) [ns] of the frames of the main camera in an EuRoC folder, or its first segment.
-
-    Raises:
-        InputError: The file ``cam0/data.csv`` is missing or damaged.
-    """
-    return read_euroc_segment_times(folder)[0]
 
 
 def read_euroc_segment_times(folder: Path | str) -> tuple[Times, ...]:

@@ -86,8 +86,8 @@ def repaired_segments(contents: FolderContents) -> tuple[FolderSegment, ...]:
         )
 
     return tuple(
-        replace(found, defects=(*left_out, *found.defects))
-        for found, left_out in usable_segments(len(split.steps) + 1, part)
+        replace(usable, defects=(*left_out, *usable.defects))
+        for usable, left_out in usable_segments(len(split.steps) + 1, part)
     )
 
 
@@ -141,7 +141,7 @@ def _repaired_frames(mav0: Path, lists: Sequence[ImageList], complete: bool, rig
         InputError: A camera has no image, or no frame has an image of each camera.
     """
     ordered = [each.ordered() for each in lists]
-    lists, defects = [each for each, _ in ordered], tuple(defect for _, found in ordered for defect in found)
+    lists, defects = [each for each, _ in ordered], tuple(defect for _, of_list in ordered for defect in of_list)
     existing = [each.existing() for each in lists]
     if not complete:
         kept = [each.selected(exists) for each, exists in zip(lists, existing, strict=True)]

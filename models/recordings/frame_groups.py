@@ -79,7 +79,7 @@ def grouped_frames(
 def _groups(exposed: Sequence[Times], tolerance_ns: int) -> list[Rows]:
     """Return the rows (M, C) of groups of images, by the times of exposure of each camera [ns]."""
     left = [np.arange(len(of)) for of in exposed]
-    found = []
+    groups = []
     for anchor, own in enumerate(exposed):
         rows = np.full((len(left[anchor]), len(exposed)), ABSENT, dtype=np.int64)
         rows[:, anchor] = left[anchor]
@@ -95,8 +95,8 @@ def _groups(exposed: Sequence[Times], tolerance_ns: int) -> list[Rows]:
             first_ns, last_ns = first_ns.copy(), last_ns.copy()
             first_ns[mine], last_ns[mine] = first[fits], last[fits]
             left[camera] = np.delete(left[camera], theirs)
-        found.append(rows)
-    return found
+        groups.append(rows)
+    return groups
 
 
 def _nearest_pairs(a: Times, b: Times) -> tuple[Rows, Rows]:

@@ -101,12 +101,12 @@ class VideoRecording:
         t_ns = np.array([round(pts * index.time_base * 10**9) for pts in index.pts.tolist()], dtype=np.int64)
         samples = read_telemetry(path)
         documents = [_with_pose(read_yaml(Path(file)), imu_rotation) for file in calibration]
-        found = calibration_of(documents, rate_hz(t_ns, 30.0))
-        model = imu or found.imu
+        calibration_set = calibration_of(documents, rate_hz(t_ns, 30.0))
+        model = imu or calibration_set.imu
         if model is None:
             expected = "Kalibr's imu.yaml as well, or the name of an IMU (--imu MPU-6050)"
             raise InputError(calibration[0], "no noise densities of the IMU", expected)
-        rig = replace(found, imu=replace(model, rate_hz=rate_hz(samples.t_ns, model.rate_hz))).rig()
+        rig = replace(calibration_set, imu=replace(model, rate_hz=rate_hz(samples.t_ns, model.rate_hz))).rig()
         size = rig.cameras[0].model.width, rig.cameras[0].model.height
         if (index.width, index.height) != size:
             raise InputError(

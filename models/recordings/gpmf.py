@@ -39,17 +39,17 @@ def read_payload(data: bytes) -> dict[str, SensorPayload]:
     Raises:
         ValueError: The payload is damaged.
     """
-    found: dict[str, SensorPayload] = {}
+    payload: dict[str, SensorPayload] = {}
     for stream in _streams(data, 0):
         properties: dict[str, npt.NDArray[np.generic]] = {}
         for key, kind, size, content in _entries(stream):
             if kind == _NESTED:
                 continue
             if key in SENSORS:
-                found[key] = _samples(_numbers(kind, size, content), properties)
+                payload[key] = _samples(_numbers(kind, size, content), properties)
             elif chr(kind) in _TYPES:
                 properties[key] = _numbers(kind, size, content)
-    return found
+    return payload
 
 
 def axes_matrix(ordered_in: str, ordered_out: str) -> Array:

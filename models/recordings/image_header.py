@@ -186,11 +186,11 @@ def _webp(stream: BinaryIO) -> ImageHeader | None:
 
 def _pnm(stream: BinaryIO) -> ImageHeader | None:
     """Return the size in the text at the start of a PBM, PGM or PPM."""
-    found = _PNM.match(stream.read(512))
-    if found is None:
+    header = _PNM.match(stream.read(512))
+    if header is None:
         return None
-    kind, width, height = (int(found[group]) for group in (1, 2, 3))
-    depth = 1 if kind in (1, 4) or int(found[4] or 255) < 256 else 2
+    kind, width, height = (int(header[group]) for group in (1, 2, 3))
+    depth = 1 if kind in (1, 4) or int(header[4] or 255) < 256 else 2
     return ImageHeader(width, height, 3 if kind in (3, 6) else 1, depth)
 
 

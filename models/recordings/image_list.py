@@ -74,8 +74,8 @@ class ImageList:
     def existing(self) -> npt.NDArray[np.bool_]:
         """Return for each image (N,) whether its file exists."""
         folders = {file.parent for file in self.files}
-        found = {file for folder in folders if folder.is_dir() for file in folder.iterdir()}
-        return np.array([file in found for file in self.files], dtype=np.bool_)
+        listed = {file for folder in folders if folder.is_dir() for file in folder.iterdir()}
+        return np.array([file in listed for file in self.files], dtype=np.bool_)
 
     def missing(self) -> tuple[Defect, ...]:
         """Return the defects of the images that are listed and do not exist."""

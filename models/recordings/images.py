@@ -1,16 +1,20 @@
 """Reading and writing of grey images; damaged files are refused."""
 
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.defects import Defect, DefectKind
 from dronevio.models.errors import InputError
+from dronevio.models.imu import Times
 from dronevio.models.recordings.bit_depth import MAX_BITS, DeepImage, significant_bits, spread, to_8bit
 from dronevio.models.recordings.files import check_regular_file
+from dronevio.models.recordings.frame_groups import delays_of_frame
 from dronevio.models.recordings.image_header import check_decoded_size, header_of
+from dronevio.models.state import NO_IMAGE, CameraFrame
 
 Image = npt.NDArray[np.uint8]
 
@@ -36,6 +40,34 @@ def read_grey(path: Path, width: int, height: int, bits: int = MAX_BITS) -> Imag
         InputError: The image has another size.
     """
     return decode_grey(path, _read_bytes(path, width, height), width, height, bits=bits)
+
+
+def assembled_frame(
+    t_ns: int, reads: Iterable[Callable[[], Image] | None], repair: bool, delays_ns: Times
+) -> CameraFrame:
+    """Return a frame of images, each of which a function reads; None is no image.
+
+    Args:
+        t_ns: Time stamp [ns].
+        reads: Functions for the images of all cameras.
+        repair: Whether a damaged image becomes none and a defect.
+        delays_ns: (C,) Delays of the exposures of the cameras [ns].
+
+    Raises:
+        InputError: An image has a wrong size, or is damaged without ``repair``.
+    """
+    images: list[Image] = []
+    defects: list[Defect] = []
+    for read in reads:
+        image = NO_IMAGE
+        try:
+            image = NO_IMAGE if read is None else read()
+        except DamagedImageError as error:
+            if not repair:
+                raise
+            defects.append(Defect(DefectKind.DAMAGED_IMAGE, t_ns, error.found))
+        images.append(image)
+    return CameraFrame(t_ns, tuple(images), defects=tuple(defects), image_delays_ns=delays_of_frame(delays_ns))
 
 
 def significant_bits_of_files(files: Sequence[Path], width: int, height: int) -> int:
@@ -113,9 +145,9 @@ def decode_deep_grey(path: Path, data: bytes, width: int, height: int, where: st
     header = header_of(data)  # before memory for the pixels is allocated
     if header is None:
         raise DamagedImageError(path, f"{where}data that cannot be decoded", expected)
-    found = header.width, header.height
-    if found not in ((width, height), (height, width)):  # EXIF data may state a rotation
-        raise InputError(path, f"{where}an image of {found[0]} × {found[1]} px", expected)
+    size = header.width, header.height
+    if size not in ((width, height), (height, width)):  # EXIF data may state a rotation
+        raise InputError(path, f"{where}an image of {size[0]} × {size[1]} px", expected)
     check_decoded_size(path, header, len(data), where)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)

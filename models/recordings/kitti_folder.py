@@ -206,21 +206,21 @@ def _drive_cameras(folder: Path, numbers: Sequence[int], images: ImageList) -> l
     cameras = _read_fields(place / "calib_cam_to_cam.txt")
     T_cam0_imu = _rigid(place / "calib_velo_to_cam.txt") @ _rigid(place / "calib_imu_to_velo.txt")
     header = header_of(read_bytes(images.files[0], "an image"))
-    found = [] if header is None else [header.width, header.height]
+    size = [] if header is None else [header.width, header.height]
     models = []
     for number in numbers:
         suffix = f"_{number:02d}"
-        if found == _field(cameras, place, f"S_rect{suffix}", 2).tolist():
-            model, T_cam_rect = _rectified(found, _field(cameras, place, f"P_rect{suffix}", 12))
+        if size == _field(cameras, place, f"S_rect{suffix}", 2).tolist():
+            model, T_cam_rect = _rectified(size, _field(cameras, place, f"P_rect{suffix}", 12))
             R_rect = pose_matrix(_field(cameras, place, "R_rect_00", 9).reshape(3, 3), np.zeros(3))
             models.append((model, inverse_pose(T_cam_rect @ R_rect @ T_cam0_imu)))
             continue
-        if found != _field(cameras, place, f"S{suffix}", 2).tolist():
+        if size != _field(cameras, place, f"S{suffix}", 2).tolist():
             expected = f"the size of rectified or original images in {place / 'calib_cam_to_cam.txt'}"
-            raise InputError(images.files[0], f"an image of {' × '.join(map(str, found))} px", expected)
+            raise InputError(images.files[0], f"an image of {' × '.join(map(str, size))} px", expected)
         K, k = _field(cameras, place, f"K{suffix}", 9), _field(cameras, place, f"D{suffix}", 5)
         with as_input_error(place / "calib_cam_to_cam.txt"):
-            model = CameraModel(found[0], found[1], K[0], K[4], K[2], K[5], tuple(k.tolist()))
+            model = CameraModel(size[0], size[1], K[0], K[4], K[2], K[5], tuple(k.tolist()))
         R, t = _field(cameras, place, f"R{suffix}", 9).reshape(3, 3), _field(cameras, place, f"T{suffix}", 3)
         models.append((model, inverse_pose(pose_matrix(R, t) @ T_cam0_imu)))
     return models
@@ -252,12 +252,12 @@ def _rectified(size: Sequence[int], projection: Array) -> tuple[CameraModel, Arr
 def _sequence_truth(folder: Path) -> Trajectory | None:
     """Return the poses of the left camera in a frame whose z axis points up; None if the sequence has none."""
     place = folder.resolve()
-    found = [
+    files = [
         file for file in (place / "poses.txt", place.parent.parent / "poses" / f"{place.name}.txt") if file.is_file()
     ]
-    if not found:
+    if not files:
         return None
-    poses = read_kitti(found[0], folder / "times.txt")
+    poses = read_kitti(files[0], folder / "times.txt")
     rotations = R_UP_KITTI @ poses.rotations
     return Trajectory(poses.t_ns, poses.p_world_imu @ R_UP_KITTI.T, quat_wxyz_from_matrix(rotations))
 

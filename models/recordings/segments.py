@@ -82,10 +82,10 @@ class Split:
             segment: Index of the segment.
             places: For each stream, a function that returns the place of a row.
         """
-        found = []
+        defects = []
         for stream, steps in enumerate(self.lone):
             rows = self.rows(stream)[segment]
-            found += [
+            defects += [
                 Defect(DefectKind.LONE_CLOCK_STEP, step.before_ns, f"{places[stream](step.row)}: {step}")
                 for step in steps
                 if rows.start <= step.row < rows.stop
@@ -93,8 +93,8 @@ class Split:
         if segment < len(self.steps):
             step, *others = zip(self.steps[segment], places, strict=True)
             also = "".join(f"; {place(other.row)}" for other, place in others)
-            found.append(Defect(DefectKind.CLOCK_STEP, step[0].before_ns, f"{step[1](step[0].row)}: {step[0]}{also}"))
-        return tuple(found)
+            defects.append(Defect(DefectKind.CLOCK_STEP, step[0].before_ns, f"{step[1](step[0].row)}: {step[0]}{also}"))
+        return tuple(defects)
 
     def rows(self, stream: int) -> tuple[slice, ...]:
         """Return the rows of a stream in each segment; there is one more segment than steps."""
@@ -109,12 +109,12 @@ def split_at_steps(streams: Sequence[Times], offsets_ns: Sequence[int] | None = 
         offsets_ns: What is added to the stamps of each stream to compare them; 0 by default [ns].
     """
     offsets = [0] * len(streams) if offsets_ns is None else list(offsets_ns)
-    found = [clock_steps(t_ns) for t_ns in streams]
-    steps = common_steps(found, offsets)
+    steps_of = [clock_steps(t_ns) for t_ns in streams]
+    steps = common_steps(steps_of, offsets)
     stamps, lone = [], []
     for stream, t_ns in enumerate(streams):
         shared = [step[stream] for step in steps]
-        falls = [step for step in found[stream] if step.is_fall and step not in shared]
+        falls = [step for step in steps_of[stream] if step.is_fall and step not in shared]
         undone, kept = _without(t_ns, falls, _between([step.row for step in shared], len(t_ns)))
         stamps.append(undone)
         lone.append(kept)
@@ -159,7 +159,7 @@ def common_steps(streams: Sequence[Sequence[Step]], offsets_ns: Sequence[int]) -
         streams: Steps of each stream.
         offsets_ns: What is added to the stamps of each stream to compare them [ns].
     """
-    found: list[tuple[Step, ...]] = []
+    common: list[tuple[Step, ...]] = []
     used = [-1] * len(streams)
     for step in streams[0]:
         partners = [
@@ -172,8 +172,8 @@ def common_steps(streams: Sequence[Sequence[Step]], offsets_ns: Sequence[int]) -
         chosen = [k for k in partners if k is not None]
         if len(chosen) == len(streams):
             used = chosen
-            found.append(tuple(steps[k] for steps, k in zip(streams, chosen, strict=True)))
-    return tuple(found)
+            common.append(tuple(steps[k] for steps, k in zip(streams, chosen, strict=True)))
+    return tuple(common)
 
 
 def usable_segments(count: int, read: Callable[[int], Part]) -> Iterator[tuple[Part, tuple[Defect, ...]]]:

@@ -238,5 +238,5 @@ def _spread(length_ns: float, count: int, ends: bool) -> Times:
 
 def _extent(flags: npt.NDArray[np.bool_]) -> tuple[int, int]:
     """Return the index of the first True and the index after the last; 0, 0 if there is none."""
-    found = np.flatnonzero(flags)
-    return (int(found[0]), int(found[-1]) + 1) if len(found) else (0, 0)
+    indices = np.flatnonzero(flags)
+    return (int(indices[0]), int(indices[-1]) + 1) if len(indices) else (0, 0)

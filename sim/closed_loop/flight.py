@@ -6,7 +6,7 @@ therefore become errors of the path, and errors of the path change what the sens
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
 from typing import Protocol
 
@@ -213,11 +213,11 @@ class _Sensors:
         return Flight(
             scenario,
             rig,
-            _joined(measured),
+            ImuSamples.concatenated(measured),
             truth,
             self._schedule[: self._next],
             reference,
-            _joined(self._perfect),
+            ImuSamples.concatenated(self._perfect),
             self._errors.constants,
             self._plant.collision,
         )
@@ -240,13 +240,3 @@ def _flown(planned: Reference, waited: int, steps: int) -> Reference:
     rows = np.insert(np.arange(steps + 1), standing, np.full(waited, standing))
     columns = {field.name: getattr(planned, field.name)[rows] for field in fields(planned)}
     return Reference(**{**columns, "t_ns": planned.t_ns[1] * np.arange(len(rows))})
-
-
-def _joined(batches: Sequence[ImuSamples]) -> ImuSamples:
-    """Return consecutive batches of samples as one."""
-    return ImuSamples(
-        np.concatenate([batch.t_ns for batch in batches]),
-        np.concatenate([batch.gyro_rad_s for batch in batches]),
-        np.concatenate([batch.accel_m_s2 for batch in batches]),
-        batches[0].sampling,
-    )

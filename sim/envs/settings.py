@@ -9,7 +9,7 @@ from dronevio.models.quadrotor import RESEARCH, Quadrotor, vehicle_named
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.sim.envs.episodes.randomization import NOTHING_RANDOM, Draws, Randomization
+from dronevio.sim.envs.episodes.randomization import NOTHING_RANDOM, Randomization, RandomizedParameters
 from dronevio.sim.envs.sensing.camera_observation import ImageKind, ImageSettings, RenderedObservation
 from dronevio.sim.envs.sensing.estimation import CameraSetup, Estimation, EstimatorFactory
 from dronevio.sim.envs.sensing.observations import IMAGES
@@ -109,10 +109,19 @@ class EnvironmentSettings(Settings):
         return round(self.imu_rate_hz / self.action_rate_hz)
 
     @property
+    def observed(self) -> tuple[str, ...]:
+        """Names of all observations, those of the policy first."""
+        return (*self.observations, *self.privileged)
+
+    @property
     def images(self) -> tuple[ImageKind, ...]:
         """Names of all observed images."""
-        named = {*self.observations, *self.privileged}
-        return tuple(kind for kind in IMAGES if kind in named)
+        return tuple(kind for kind in IMAGES if kind in self.observed)
+
+    @property
+    def has_imu(self) -> bool:
+        """Whether the policy, a critic or an estimator receives measurements of the IMU."""
+        return self.estimator is not None or not {"imu", "imu_bias"}.isdisjoint(self.observed)
 
     @property
     def steps_per_image(self) -> int:
@@ -129,7 +138,7 @@ class EnvironmentSettings(Settings):
         images = ImageSettings(self.images, *self.image_size)
         return RenderedObservation(self.rig.cameras[self.camera], self.world, self.world_seed, images, texture_seed)
 
-    def cameras_of_episode(self, draws: Draws, noise_seed: int) -> CameraSetup:
+    def cameras_of_episode(self, draws: RandomizedParameters, noise_seed: int) -> CameraSetup:
         """Return the true cameras of an episode, with drawn mounting errors, light and textures.
 
         Args:

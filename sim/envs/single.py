@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.sim.envs.core import DroneCore
+from dronevio.sim.envs.episodes.actions import action_space
 from dronevio.sim.envs.info import Info, row_of
 from dronevio.sim.envs.rendering import RENDER_MODES, DronePictures, check_render_mode, possible_render_modes
 from dronevio.sim.envs.sensing.arrangement import rows_of
@@ -49,7 +50,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
     | ``reward_terms`` | terms of the reward by name; not after a reset |
     | ``distance_m`` | distance from the current goal [m] |
     | ``t_ns`` | time since the start of the episode [ns] |
-    | ``randomization`` | drawn values by name, see `Draws`; only after a reset |
+    | ``randomization`` | drawn values by name, see `RandomizedParameters`; only after a reset |
 
     With an estimator, there are also the entries that `dronevio.sim.envs.sensing.estimation` describes.
 
@@ -85,9 +86,9 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
         self._core = DroneCore(1, self.settings)
         self._pictures = DronePictures(self.settings)
         self._started = False
-        self.action_space = self._core.action_space
-        self.observation_space = self._core.observation_space
-        self.observation_shapes = self._core.observation_shapes
+        self.action_space = action_space()
+        self.observation_space = self._core.arrangement.space
+        self.observation_shapes = self._core.arrangement.shapes
         """Shapes of the observations of the policy by name, in order."""
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Info]:

@@ -9,6 +9,7 @@ from gymnasium.vector.utils import batch_space
 
 from dronevio.models.errors import ConfigError
 from dronevio.sim.envs.core import DroneCore
+from dronevio.sim.envs.episodes.actions import action_space
 from dronevio.sim.envs.info import Info, with_masks
 from dronevio.sim.envs.rendering import DronePictures, check_render_mode
 from dronevio.sim.envs.sensing.arrangement import rows_of
@@ -99,9 +100,9 @@ class DroneVectorEnv(VectorEnv[Any, npt.NDArray[np.floating[Any]], Any]):
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._ended = np.zeros(num_envs, dtype=np.bool_)
         self._started = False
-        self.single_action_space = self._core.action_space
-        self.single_observation_space = self._core.observation_space
-        self.observation_shapes = self._core.observation_shapes
+        self.single_action_space = action_space()
+        self.single_observation_space = self._core.arrangement.space
+        self.observation_shapes = self._core.arrangement.shapes
         """Shapes of the observations of one environment's policy by name, in order."""
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -12,8 +12,8 @@ from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import Rig
 from dronevio.models.vibration import NO_VIBRATION
 from dronevio.sim.inertial.batch_vibration import BatchHarmonics, HarmonicsState
-from dronevio.sim.inertial.bias import FLICKER_FLOOR, FLICKER_SHARE, FLICKER_TIMES_S
-from dronevio.sim.inertial.imu import read_out
+from dronevio.sim.inertial.bias import BiasModel
+from dronevio.sim.inertial.imu import matrix_deviations, noise_density, read_out
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
@@ -35,6 +35,40 @@ class BatchImuState:
     """State of the vibration; None without vibration."""
     generators: tuple[Mapping[str, Any], Mapping[str, Any]]
     """States of the generators of samples and of resets."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """Standard deviations of the errors of an IMU, at a reset and from one sample to the next."""
+
+    biases: BiasModel
+    """Biases at a reset."""
+    response: Array | None
+    """(6, 6) Of scale errors, misalignments and g-sensitivity; None without any."""
+    noise: Array
+    """(6,) Of the white noise of a sample."""
+    walk: Array
+    """(6,) Of the step of a random walk."""
+    decay: Array
+    """(P, 1) Factors of the processes of bias instability in a step."""
+    flicker: Array
+    """(P, 6) Of their noise in a step."""
+
+    @classmethod
+    def of(cls, model: ImuModel) -> Self:
+        """Return the errors of an IMU."""
+        biases, response = BiasModel.of(model), np.zeros((6, 6))
+        response[_GYRO, _GYRO], response[_ACCEL, _ACCEL] = matrix_deviations(model)
+        response[_GYRO, _ACCEL] = model.gyro_g_sensitivity_rad_s_per_m_s2
+        decay = np.exp(-1.0 / (model.rate_hz * biases.times_s[:, None]))
+        return cls(
+            biases=biases,
+            response=response if response.any() else None,
+            noise=noise_density(model) * np.sqrt(model.rate_hz),
+            walk=biases.walk / np.sqrt(model.rate_hz),
+            decay=decay,
+            flicker=biases.flicker * np.sqrt(1.0 - decay**2),
+        )
 
 
 class BatchImuErrors:
@@ -59,17 +93,9 @@ class BatchImuErrors:
         self._model = model
         self._vibration = vibration
         self._rng, self._reset_rng = rng.spawn(2)
-        self._turn_on = np.repeat([model.gyro_turn_on_bias_rad_s, model.accel_turn_on_bias_m_s2], 3)
-        self._noise = np.repeat([model.gyro_noise_density, model.accel_noise_density], 3) * np.sqrt(model.rate_hz)
-        self._walk = np.repeat([model.gyro_random_walk, model.accel_random_walk], 3) / np.sqrt(model.rate_hz)
-        floor = np.repeat([model.gyro_bias_instability_rad_s, model.accel_bias_instability_m_s2], 3)
-        self._spread = np.sqrt(FLICKER_SHARE) * floor / FLICKER_FLOOR
-        self._times_s = FLICKER_TIMES_S[:, None] if floor.any() else np.zeros((0, 1))
-        self._decay = np.exp(-1.0 / (model.rate_hz * self._times_s))
-        self._flicker_noise = self._spread * np.sqrt(1.0 - self._decay**2)
-        self._constants = _deviations_of_response(model)
+        self._steps = _Steps.of(model)
         self._walked = np.zeros((count, 6))
-        self._flicker = np.zeros((count, len(self._times_s), 6))
+        self._flicker = np.zeros((count, len(self._steps.decay), 6))
         self._response = np.tile(np.eye(6), (count, 1, 1))
         self.reset(np.ones(count, dtype=bool))
 
@@ -85,11 +111,11 @@ class BatchImuErrors:
     def reset(self, mask: npt.NDArray[np.bool_]) -> None:
         """Replace the units in a mask (n,) by others that have just been switched on."""
         rows = np.flatnonzero(mask)
-        k, rng = len(rows), self._reset_rng
-        self._walked[rows] = self._turn_on * rng.standard_normal((k, 6))
-        self._flicker[rows] = self._spread * rng.standard_normal((k, len(self._times_s), 6))
-        if self._constants.any():
-            self._response[rows] = np.eye(6) + self._constants * rng.standard_normal((k, 6, 6))
+        k, rng, steps = len(rows), self._reset_rng, self._steps
+        self._walked[rows] = steps.biases.turn_on * rng.standard_normal((k, 6))
+        self._flicker[rows] = steps.biases.flicker * rng.standard_normal((k, len(steps.decay), 6))
+        if steps.response is not None:
+            self._response[rows] = np.eye(6) + steps.response * rng.standard_normal((k, 6, 6))
         if self._vibration is not None:
             self._vibration.renew(rows, rng)
 
@@ -104,13 +130,14 @@ class BatchImuErrors:
         if self._vibration is not None:
             speeds = np.zeros((len(perfect), 4)) if rotor_speeds_rad_s is None else rotor_speeds_rad_s
             perfect = perfect + self._vibration.following(speeds)
+        steps = self._steps
         walk, white = self._rng.standard_normal((2, *perfect.shape))
-        self._walked += self._walk * walk
-        if len(self._times_s):
-            self._flicker = self._decay * self._flicker
-            self._flicker += self._flicker_noise * self._rng.standard_normal(self._flicker.shape)
+        self._walked += steps.walk * walk
+        if len(steps.decay):
+            self._flicker = steps.decay * self._flicker
+            self._flicker += steps.flicker * self._rng.standard_normal(self._flicker.shape)
         bias = self._walked + self._flicker.sum(axis=1)
-        return self._read(self._responding(perfect, slice(None)) + (bias + self._noise * white)), bias
+        return self._measured(perfect, slice(None), bias, white), bias
 
     def first(self, perfect: Array, rows: Rows, rotor_speeds_rad_s: Array | None = None) -> tuple[Array, Array]:
         """Return the measurements (k, 6) of some units at their reset, and their biases (k, 6).
@@ -125,7 +152,7 @@ class BatchImuErrors:
             perfect = perfect + self._vibration.first(speeds, rows)
         bias = self._walked[rows] + self._flicker[rows].sum(axis=1)
         white = self._reset_rng.standard_normal(perfect.shape)
-        return self._read(self._responding(perfect, rows) + (bias + self._noise * white)), bias
+        return self._measured(perfect, rows, bias, white), bias
 
     def save(self) -> BatchImuState:
         """Return the state of errors and random numbers."""
@@ -140,28 +167,13 @@ class BatchImuErrors:
         if self._vibration is not None and saved.vibration is not None:
             self._vibration.state = saved.vibration
 
-    def _responding(self, perfect: Array, rows: Rows | slice) -> Array:
-        """Return samples (k, 6) with the constant errors of the selected units."""
-        return np.matvec(self._response[rows], perfect) if self._constants.any() else perfect
-
-    def _read(self, value: Array) -> Array:
-        """Return values (k, 6) quantized and clipped to the range."""
-        model = self._model
-        gyro = read_out(value[:, _GYRO], model.gyro_resolution_rad_s, model.gyro_range_rad_s)
-        accel = read_out(value[:, _ACCEL], model.accel_resolution_m_s2, model.accel_range_m_s2)
-        return np.concatenate([gyro, accel], axis=1)
+    def _measured(self, perfect: Array, rows: Rows | slice, bias: Array, white: Array) -> Array:
+        """Return the measurements (k, 6) of the selected units, given biases and standard normal numbers (k, 6)."""
+        responding = perfect if self._steps.response is None else np.matvec(self._response[rows], perfect)
+        value = responding + (bias + self._steps.noise * white)
+        return np.concatenate(read_out(self._model, value[:, _GYRO], value[:, _ACCEL]), axis=1)
 
 
 def vibration_of(quadrotor: Quadrotor, rig: Rig, count: int) -> BatchHarmonics | None:
     """Return the vibration at the IMUs of ``count`` vehicles; None if their rotors cause none."""
     return None if quadrotor.vibration == NO_VIBRATION else BatchHarmonics(quadrotor, rig, count)
-
-
-def _deviations_of_response(model: ImuModel) -> Array:
-    """Return the standard deviations (6, 6) of scale errors, misalignments and g-sensitivity."""
-    diagonal = np.eye(3) > 0.0
-    deviations = np.zeros((6, 6))
-    deviations[_GYRO, _GYRO] = np.where(diagonal, model.gyro_scale_error, model.gyro_misalignment_rad)
-    deviations[_ACCEL, _ACCEL] = np.where(diagonal, model.accel_scale_error, model.accel_misalignment_rad)
-    deviations[_GYRO, _ACCEL] = model.gyro_g_sensitivity_rad_s_per_m_s2
-    return deviations

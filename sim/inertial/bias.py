@@ -1,5 +1,8 @@
 """Simulation of IMU biases: turn-on bias, random walk, and bias instability."""
 
+from dataclasses import dataclass
+from typing import Self
+
 import numpy as np
 import numpy.typing as npt
 
@@ -16,6 +19,31 @@ FLICKER_SHARE = float(np.log(10.0) / np.pi)
 """Ratio of the variance of each process to B². Processes of variance v whose correlation times differ by factors r sum
 to the one-sided density v / (f ln r); flicker noise has B² / (π f)."""
 _BLOCK_S = 30.0 * float(FLICKER_TIMES_S[0])  # within a block no decay factor underflows the precision of a double
+
+
+@dataclass(frozen=True, eq=False)
+class BiasModel:
+    """Size and duration of the biases of an IMU: three axes of the gyroscope, then three of the accelerometer."""
+
+    turn_on: Array
+    """(6,) Standard deviations of the turn-on biases."""
+    walk: Array
+    """(6,) Densities of the random walks."""
+    flicker: Array
+    """(6,) Standard deviations of each Gauss-Markov process of the bias instability."""
+    times_s: Array
+    """(P,) Correlation times of these processes [s]; none without bias instability."""
+
+    @classmethod
+    def of(cls, imu: ImuModel) -> Self:
+        """Return the biases of an IMU."""
+        floor = np.repeat([imu.gyro_bias_instability_rad_s, imu.accel_bias_instability_m_s2], 3)
+        return cls(
+            turn_on=np.repeat([imu.gyro_turn_on_bias_rad_s, imu.accel_turn_on_bias_m_s2], 3),
+            walk=np.repeat([imu.gyro_random_walk, imu.accel_random_walk], 3),
+            flicker=np.sqrt(FLICKER_SHARE) * floor / FLICKER_FLOOR,
+            times_s=FLICKER_TIMES_S if floor.any() else np.zeros(0),
+        )
 
 
 class Biases:
@@ -37,28 +65,24 @@ class Biases:
         """
         self._rng = rng
         self._flicker_rng = flicker_rng
-        turn_on = np.repeat([model.gyro_turn_on_bias_rad_s, model.accel_turn_on_bias_m_s2], 3)
-        self.turn_on = turn_on * rng.standard_normal(6)
-        self._walk = np.repeat([model.gyro_random_walk, model.accel_random_walk], 3)
+        self._model = BiasModel.of(model)
+        self.turn_on = self._model.turn_on * rng.standard_normal(6)
         self._walked = self.turn_on
-        floor = np.repeat([model.gyro_bias_instability_rad_s, model.accel_bias_instability_m_s2], 3)
-        self._times_s = FLICKER_TIMES_S[:, None, None] if floor.any() else np.zeros((0, 1, 1))
-        self._spread = np.sqrt(FLICKER_SHARE) * floor / FLICKER_FLOOR
-        self._flicker = self._spread * flicker_rng.standard_normal((len(self._times_s), 1, 6))
+        self._flicker = self._model.flicker * flicker_rng.standard_normal((len(self._model.times_s), 1, 6))
         self._t_ns: int | None = None
 
     def advance_to(self, t_ns: Times) -> Array:
         """Return the biases (N, 6) at N ≥ 1 times [ns] after those of the last call; constant before the first."""
         start_ns = int(t_ns[0]) if self._t_ns is None else self._t_ns
         dt_s = np.diff(t_ns, prepend=start_ns) * 1e-9
-        steps = self._walk * np.sqrt(dt_s)[:, None] * self._rng.standard_normal((len(t_ns), 6))
+        steps = self._model.walk * np.sqrt(dt_s)[:, None] * self._rng.standard_normal((len(t_ns), 6))
         walked = self._walked + np.cumsum(steps, axis=0)
         self._walked, self._t_ns = walked[-1], int(t_ns[-1])
         return np.asarray(walked + self._flickering(dt_s))
 
     def _flickering(self, dt_s: Array) -> Array:
         """Return the bias instability (N, 6) after N steps."""
-        if len(self._times_s) == 0:
+        if len(self._model.times_s) == 0:
             return np.zeros((len(dt_s), 6))
         block = np.floor(np.cumsum(dt_s) / _BLOCK_S)
         starts = np.flatnonzero(np.diff(block)) + 1
@@ -66,11 +90,11 @@ class Biases:
 
     def _flickering_block(self, dt_s: Array) -> Array:
         """Return the bias instability (N, 6) within one block: x_k = d_k (x_0 + Σ w_j / d_j), d_k the decay."""
-        dt = dt_s[:, None]
-        noise = self._spread * np.sqrt(-np.expm1(-2.0 * dt / self._times_s))
-        noise = noise * self._flicker_rng.standard_normal((len(self._times_s), len(dt_s), 6))
-        decay = np.exp(-(np.cumsum(dt, axis=0) - dt[0]) / self._times_s)
-        first = np.exp(-dt[0] / self._times_s) * self._flicker
+        dt, times_s = dt_s[:, None], self._model.times_s[:, None, None]
+        noise = self._model.flicker * np.sqrt(-np.expm1(-2.0 * dt / times_s))
+        noise = noise * self._flicker_rng.standard_normal((len(times_s), len(dt_s), 6))
+        decay = np.exp(-(np.cumsum(dt, axis=0) - dt[0]) / times_s)
+        first = np.exp(-dt[0] / times_s) * self._flicker
         x = decay * (first + np.cumsum(noise / decay, axis=1))
         self._flicker = x[:, -1:]
         return np.asarray(x.sum(axis=0))

@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from dronevio.models.imu import ImuConstants, ImuModel, ImuSamples
 from dronevio.sim.inertial.bias import Biases
-from dronevio.sim.inertial.vibration import NoVibration, Vibration
+from dronevio.sim.inertial.vibration import RotorHarmonics
 
 Array = npt.NDArray[np.float64]
 
@@ -22,7 +22,7 @@ class ImuErrors:
     evaluated at the time stamps; within an interval, a random walk changes by about a thousandth of the noise.
     """
 
-    def __init__(self, model: ImuModel, rng: np.random.Generator, vibration: Vibration | None = None) -> None:
+    def __init__(self, model: ImuModel, rng: np.random.Generator, vibration: RotorHarmonics | None = None) -> None:
         """Draw the constant errors and the initial biases.
 
         Args:
@@ -32,10 +32,10 @@ class ImuErrors:
         """
         self._model = model
         self._rng = rng
-        self._vibration = vibration or NoVibration()
+        self._vibration = vibration
         constants_rng, flicker_rng = rng.spawn(2)
         self._biases = Biases(model, rng, flicker_rng)
-        self._density = np.repeat([model.gyro_noise_density, model.accel_noise_density], 3)
+        self._density = noise_density(model)
         self._t_ns: int | None = None
         self.constants = _drawn_constants(model, constants_rng, self._biases.turn_on)
 
@@ -44,7 +44,8 @@ class ImuErrors:
 
         Args:
             perfect: N noise-free samples, points or increments, later than those of the last call.
-            rotor_speeds_rad_s: (N, 4) Rotor speeds for the vibration [rad/s] (see `Vibration`); standstill by default.
+            rotor_speeds_rad_s: (N, 4) Rotor speeds for the vibration [rad/s] (see
+                `RotorHarmonics.sensed`); standstill by default.
 
         Returns:
             The measured samples, the gyroscope biases (N, 3) [rad/s] and the accelerometer biases (N, 3) [m/s²].
@@ -52,14 +53,15 @@ class ImuErrors:
         n = len(perfect)
         if n == 0:
             return perfect, np.zeros((0, 3)), np.zeros((0, 3))
-        speeds = np.zeros((n, 4)) if rotor_speeds_rad_s is None else rotor_speeds_rad_s
-        vibration_gyro, vibration_accel = self._vibration.sensed(perfect, speeds)
-        gyro, accel = self.constants.response(perfect.gyro_rad_s + vibration_gyro, perfect.accel_m_s2 + vibration_accel)
+        gyro, accel = perfect.gyro_rad_s, perfect.accel_m_s2
+        if self._vibration is not None:
+            speeds = np.zeros((n, 4)) if rotor_speeds_rad_s is None else rotor_speeds_rad_s
+            turning, shaking = self._vibration.sensed(perfect, speeds)
+            gyro, accel = gyro + turning, accel + shaking
+        gyro, accel = self.constants.response(gyro, accel)
         bias = self._biases.advance_to(perfect.t_ns)
         errors = bias + self._density * self._root_rate(perfect) * self._rng.standard_normal((n, 6))
-        model = self._model
-        gyro = read_out(gyro + errors[:, :3], model.gyro_resolution_rad_s, model.gyro_range_rad_s)
-        accel = read_out(accel + errors[:, 3:], model.accel_resolution_m_s2, model.accel_range_m_s2)
+        gyro, accel = read_out(self._model, gyro + errors[:, :3], accel + errors[:, 3:])
         return ImuSamples(perfect.t_ns, gyro, accel, perfect.sampling), bias[:, :3], bias[:, 3:]
 
     def _root_rate(self, samples: ImuSamples) -> Array | float:
@@ -72,22 +74,42 @@ class ImuErrors:
         return np.asarray(1.0 / np.sqrt(np.diff(samples.t_ns, prepend=start_ns)[:, None] * 1e-9))
 
 
+def noise_density(model: ImuModel) -> Array:
+    """Return the densities (6,) of the white noise of gyroscope [rad/s/√Hz] and accelerometer [m/s²/√Hz]."""
+    return np.repeat([model.gyro_noise_density, model.accel_noise_density], 3)
+
+
+def matrix_deviations(model: ImuModel) -> tuple[Array, Array]:
+    """Return the standard deviations (3, 3) of scale errors and misalignments of gyroscope and accelerometer."""
+    diagonal = np.eye(3) > 0.0
+    return (
+        np.where(diagonal, model.gyro_scale_error, model.gyro_misalignment_rad),
+        np.where(diagonal, model.accel_scale_error, model.accel_misalignment_rad),
+    )
+
+
+def read_out(model: ImuModel, gyro: Array, accel: Array) -> tuple[Array, Array]:
+    """Return angular velocities and specific forces (N, 3), quantized and clipped to their ranges."""
+    return (
+        _digitized(gyro, model.gyro_resolution_rad_s, model.gyro_range_rad_s),
+        _digitized(accel, model.accel_resolution_m_s2, model.accel_range_m_s2),
+    )
+
+
 def _drawn_constants(model: ImuModel, rng: np.random.Generator, turn_on: Array) -> ImuConstants:
     """Return the constant errors of one unit, drawn from a model."""
-    eye = np.eye(3)
     scale_and_tilt = rng.standard_normal((2, 3, 3))
-    spread_gyro = np.where(eye > 0.0, model.gyro_scale_error, model.gyro_misalignment_rad)
-    spread_accel = np.where(eye > 0.0, model.accel_scale_error, model.accel_misalignment_rad)
+    spread_gyro, spread_accel = matrix_deviations(model)
     return ImuConstants(
-        gyro_matrix=eye + spread_gyro * scale_and_tilt[0],
-        accel_matrix=eye + spread_accel * scale_and_tilt[1],
+        gyro_matrix=np.eye(3) + spread_gyro * scale_and_tilt[0],
+        accel_matrix=np.eye(3) + spread_accel * scale_and_tilt[1],
         gyro_g_sensitivity=model.gyro_g_sensitivity_rad_s_per_m_s2 * rng.standard_normal((3, 3)),
         gyro_turn_on_bias_rad_s=turn_on[:3],
         accel_turn_on_bias_m_s2=turn_on[3:],
     )
 
 
-def read_out(value: Array, step: float, limit: float) -> Array:
+def _digitized(value: Array, step: float, limit: float) -> Array:
     """Return values quantized to a step, if it is positive, and clipped at ± a limit."""
     rounded = step * np.rint(value / step) if step > 0.0 else value
     return np.clip(rounded, -limit, limit)

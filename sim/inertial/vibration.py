@@ -1,7 +1,5 @@
 """Vibration of the airframe by the rotors, as an IMU measures it."""
 
-from typing import Protocol
-
 import numpy as np
 import numpy.typing as npt
 
@@ -10,31 +8,6 @@ from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import Rig
 
 Array = npt.NDArray[np.float64]
-
-
-class Vibration(Protocol):
-    """Interface of a vibration model."""
-
-    def sensed(self, samples: ImuSamples, rotor_speeds_rad_s: Array) -> tuple[Array, Array]:
-        """Return the vibration at the times of a batch of samples, later than those of the last call.
-
-        Args:
-            samples: N samples, of which only times and sampling are used.
-            rotor_speeds_rad_s: (N, 4) Rotor speeds [rad/s]: for points, the speeds from each time stamp on; for
-                increments, the speeds during each interval.
-
-        Returns:
-            Angular velocities (N, 3) [rad/s] and specific forces (N, 3) [m/s²] in the IMU frame.
-        """
-        ...
-
-
-class NoVibration:
-    """Absence of vibration; implements `Vibration`."""
-
-    def sensed(self, samples: ImuSamples, rotor_speeds_rad_s: Array) -> tuple[Array, Array]:
-        """Return zeros (N, 3) and (N, 3)."""
-        return np.zeros((len(samples), 3)), np.zeros((len(samples), 3))
 
 
 class Tones:
@@ -73,7 +46,7 @@ class Tones:
 
 
 class RotorHarmonics:
-    """Harmonics of each rotor's true speed and of its blade-pass frequency; implements `Vibration`.
+    """Harmonics of each rotor's true speed and of its blade-pass frequency.
 
     Rotor speeds are constant between two IMU samples, so the phase of a harmonic, the integral of the speed, is known
     at all times. A point sample is the value at the time stamp, an increment the exact mean over the interval.
@@ -98,7 +71,16 @@ class RotorHarmonics:
         self._t_ns: int | None = None
 
     def sensed(self, samples: ImuSamples, rotor_speeds_rad_s: Array) -> tuple[Array, Array]:
-        """Return angular velocities (N, 3) [rad/s] and specific forces (N, 3) [m/s²]; see `Vibration`."""
+        """Return the vibration at the times of a batch of samples, later than those of the last call.
+
+        Args:
+            samples: N samples, of which only times and sampling are used.
+            rotor_speeds_rad_s: (N, 4) Rotor speeds [rad/s]: for points, the speeds from each time stamp on; for
+                increments, the speeds during each interval.
+
+        Returns:
+            Angular velocities (N, 3) [rad/s] and specific forces (N, 3) [m/s²] in the IMU frame.
+        """
         if len(samples) == 0:
             return np.zeros((0, 3)), np.zeros((0, 3))
         middle, turned = self._turn(samples, rotor_speeds_rad_s)

@@ -5,7 +5,7 @@ import numpy as np
 import numpy.typing as npt
 from mujoco.batch import Batch
 
-from dronevio.sim.physics.collisions import COLLISION_GROUP, FEET, LEVEL
+from dronevio.sim.physics.collisions import COLLISION_GROUP, FEET, stands
 
 Array = npt.NDArray[np.float64]
 
@@ -55,5 +55,5 @@ class BatchContacts:
         self._pose[rows] = pose
         self._batch.forward(rows, stage=mujoco.mjtStage.mjSTAGE_POS)
         sensed = self._sensed[rows].reshape(len(rows), len(self._foot), _SLOTS, 4)
-        level = self._foot[:, None] & (np.abs(sensed[..., 3]) > LEVEL)
-        return np.asarray(np.any((sensed[..., 0] > 0.0) & ~level, axis=(1, 2)))
+        standing = stands(self._foot[:, None], sensed[..., 3])
+        return np.asarray(np.any((sensed[..., 0] > 0.0) & ~standing, axis=(1, 2)))

@@ -80,14 +80,14 @@ def velocities_of(lever: Array, motion: Array, step_s: float) -> Array:
     return motion[VELOCITY] + rotated(rotations_at_velocities(motion, step_s), relative)
 
 
-def specific_forces(R: Array, before: Array, after: Array, interval_s: float) -> Array:
+def specific_forces(R: Array, before: Array, after: Array, interval_s: Array | float) -> Array:
     """Return mean specific forces (3, n) over one interval centred on a time [m/s²].
 
     Args:
         R: (3, 3, n) Rotations from the frame of the result to the world at this time.
         before: (3, n) Velocities of the IMU half an interval earlier, in the world [m/s].
         after: (3, n) Velocities half an interval later [m/s].
-        interval_s: Length of the interval [s].
+        interval_s: Length of the interval, or of each (n,) [s].
     """
     force = (after - before) / interval_s
     force[2] += GRAVITY_M_S2

@@ -1,17 +1,12 @@
 """Batch plant: the physics of many quadrotors of one type in one world, stepped together by `mujoco.batch`."""
 
-import copy
-
 import mujoco
 import numpy as np
 import numpy.typing as npt
-from mujoco.batch import Batch
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import RESEARCH, Quadrotor
 from dronevio.models.rig import Rig
-from dronevio.models.rotation import quat_wxyz_from_matrix
-from dronevio.sim.physics.batch_contacts import BatchContacts
 from dronevio.sim.physics.batch_motion import (
     POSITION,
     QUATERNION,
@@ -23,20 +18,17 @@ from dronevio.sim.physics.batch_motion import (
     specific_forces,
     velocities_of,
 )
-from dronevio.sim.physics.batch_state import PlantState, PointSamples
-from dronevio.sim.physics.plant import LONGEST_STEP_S, LOWEST_IMU_RATE_HZ
+from dronevio.sim.physics.batch_simulation import FASTEST, BatchSimulation
+from dronevio.sim.physics.batch_state import PlantState, PointSamples, SavedPlant
+from dronevio.sim.physics.motion import extrapolated_back
 from dronevio.sim.physics.rotors import Airflow, Rotors
-from dronevio.sim.physics.vehicle import physics_spec, standing_pose
-from dronevio.sim.physics.vehicle_states import Mask, Rows, VehicleParameters, VehicleStates
+from dronevio.sim.physics.vehicle import LONGEST_STEP_S, imu_interval_ns, physics_spec, standing_pose
+from dronevio.sim.physics.vehicle_states import Mask, Rows, VehicleParameters, VehicleStates, with_rows
 from dronevio.sim.physics.wind import CALM, BatchAir, Winds
 
 Array = npt.NDArray[np.float64]
 
-FASTEST = 1e4
-"""Largest component of a velocity [m/s] or angular velocity [rad/s] that is not divergence."""
 _ALL = slice(None)
-_NONE = np.zeros(0, dtype=np.intp)
-_RECORDED = int(mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL)
 
 
 class BatchPlant:
@@ -83,89 +75,62 @@ class BatchPlant:
         """
         if count < 1:
             raise ConfigError(f"{count} vehicles; expected 1 or more")
-        if rig.imu.rate_hz < LOWEST_IMU_RATE_HZ:
-            raise ConfigError(f"IMU rate of {rig.imu.rate_hz:g} Hz; expected at least {LOWEST_IMU_RATE_HZ:g} Hz")
-        self.count = count
         self.rig = rig
         self.quadrotor = quadrotor or RESEARCH
-        self.interval_ns = round(1e9 / rig.imu.rate_hz)
-        self.interval_s = self.interval_ns * 1e-9
-        self._substeps = _substeps(self.interval_s, step_s)
-        self._step_s = self.interval_s / self._substeps
+        self.interval_ns = imu_interval_ns(rig)
+        substeps = _substeps(self.interval_s, step_s)
+        self._step_s = self.interval_s / substeps
         self._ground_m = ground_m
-        self._imu = imu
         spec = physics_spec(self.quadrotor, rig, self._step_s, surroundings)
-        model = spec.compile()
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        self._body = model.body("quadrotor").id
-        self._batch = Batch(model, count, nthread)
-        self._pose, self._twist = self._batch.bind("qpos"), self._batch.bind("qvel")
-        self._control, self._contacts = self._batch.bind("ctrl"), self._batch.bind("ncon")
-        self._masses, self._inertias = self._batch.expand("body_mass"), self._batch.expand("body_inertia")
-        self._batch.set_const()
-        self._detector = BatchContacts(spec, count, nthread)
-        self._standing_m = float(standing_pose(self.quadrotor, rig, self._step_s)[2])
-        self._parameters = VehicleParameters.of(self.quadrotor, count)
-        self._rotors = Rotors(self.quadrotor, self._parameters)
-        self._state = self._rotors.steady_state(np.zeros((count, 4)))
+        self._simulation = BatchSimulation(spec, count, substeps, imu, nthread)
+        self.standing_height_m = float(standing_pose(self.quadrotor, rig, self._step_s)[2])
+        """Height of the centre of mass above the floor when a drone of the type stands on its feet [m]."""
         self._air = BatchAir(Winds.of(CALM, count), rng or np.random.default_rng(0))
-        self._elapsed = np.zeros(count, dtype=np.int64)
-        self._touched, self._diverged = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
-        self._motion = np.zeros((13, count))
-        self._velocity_between = np.zeros((3, count))
-        self._record = np.zeros((count, self._substeps, 13))
-        self._samples = PointSamples(np.zeros((count, 3)), np.zeros((count, 3)))
-        self.reset(np.ones(count, dtype=bool), VehicleStates.at(np.tile([0.0, 0.0, self._standing_m], (count, 1))))
+        parameters, nothing = VehicleParameters.of(self.quadrotor, count), np.zeros(count, dtype=bool)
+        self._rotors = Rotors(self.quadrotor, parameters)
+        self.now = PlantState(
+            parameters=parameters,
+            rotors=self._rotors.steady_state(np.zeros((count, 4))),
+            elapsed=np.zeros(count, dtype=np.int64),
+            touched=nothing,
+            diverged=nothing,
+            motion=np.zeros((13, count)),
+            velocity_between=np.zeros((3, count)),
+            samples=PointSamples(np.zeros((count, 3)), np.zeros((count, 3))),
+        )
+        """State of the vehicles at the current time; in a plant without IMUs, their samples are zeros."""
+        self.reset(~nothing, VehicleStates.at(np.tile([0.0, 0.0, self.standing_height_m], (count, 1))))
 
     @property
-    def standing_height_m(self) -> float:
-        """Height of the centre of mass above the floor when a drone of the type stands on its feet [m]."""
-        return self._standing_m
+    def count(self) -> int:
+        """Number of vehicles."""
+        return len(self.now.elapsed)
+
+    @property
+    def interval_s(self) -> float:
+        """Length of an IMU interval [s]."""
+        return self.interval_ns * 1e-9
 
     @property
     def t_ns(self) -> npt.NDArray[np.int64]:
         """(n,) Times since the last reset of each vehicle [ns]."""
-        return self._elapsed * self.interval_ns
+        return self.now.elapsed * self.interval_ns
 
     @property
     def states(self) -> VehicleStates:
         """True states of the vehicles."""
-        position = self._motion[POSITION] - 0.5 * self._step_s * self._motion[VELOCITY]
-        R = rotations_at_velocities(self._motion, self._step_s)
+        motion, rotors = self.now.motion, self.now.rotors
+        position = motion[POSITION] - 0.5 * self._step_s * motion[VELOCITY]
+        R = rotations_at_velocities(motion, self._step_s)
         return VehicleStates(
             np.ascontiguousarray(position.T),
             np.ascontiguousarray(R.transpose(2, 0, 1)),
-            np.ascontiguousarray(self._motion[VELOCITY].T),
-            np.ascontiguousarray(self._motion[RATE].T),
-            self._state.speed_rad_s.copy(),
-            self._state.charge.copy(),
-            self._state.voltage_v.copy(),
+            np.ascontiguousarray(motion[VELOCITY].T),
+            np.ascontiguousarray(motion[RATE].T),
+            rotors.speed_rad_s.copy(),
+            rotors.charge.copy(),
+            rotors.voltage_v.copy(),
         )
-
-    @property
-    def rotor_speeds_rad_s(self) -> Array:
-        """(n, 4) Speeds of the rotors from the current time on [rad/s]."""
-        return self._state.speed_rad_s.copy()
-
-    @property
-    def samples(self) -> PointSamples:
-        """Noise-free IMU samples at the current time, of t = 0 after a reset; zeros in a plant without IMUs."""
-        return self._samples
-
-    @property
-    def touched(self) -> Mask:
-        """(n,) Whether a vehicle has collided since its reset: any contact but that of a foot with the ground."""
-        return self._touched.copy()
-
-    @property
-    def diverged(self) -> Mask:
-        """(n,) Whether the simulation of a vehicle has diverged since its reset."""
-        return self._diverged.copy()
-
-    @property
-    def parameters(self) -> VehicleParameters:
-        """Physical parameters of the vehicles."""
-        return self._parameters
 
     @property
     def winds(self) -> Winds:
@@ -181,36 +146,16 @@ class BatchPlant:
         """Draw gusts from streams of another generator from now on."""
         self._air.reseed(rng)
 
-    def save(self) -> PlantState:
-        """Return the state of vehicles, gusts and clocks, with arrays of its own."""
-        return copy.deepcopy(
-            PlantState(
-                self._batch.state,
-                self._state,
-                self._parameters,
-                self._air.save(),
-                self._elapsed,
-                self._touched,
-                self._diverged,
-                self._motion,
-                self._velocity_between,
-                self._samples,
-            )
-        )
+    def save(self) -> SavedPlant:
+        """Return the state of vehicles, gusts and clocks, with arrays that no later step changes."""
+        return SavedPlant(self._simulation.save(), self._air.save(), self.now)
 
-    def restore(self, saved: PlantState) -> None:
+    def restore(self, saved: SavedPlant) -> None:
         """Return to a state of a plant of the same vehicle type, world and rates, with as many vehicles."""
-        saved = copy.deepcopy(saved)
-        self._parameters, self._state = saved.parameters, saved.rotors
-        self._rotors = Rotors(self.quadrotor, self._parameters)
-        self._masses[:, self._body] = self._parameters.mass_kg
-        self._inertias[:, self._body] = self._parameters.inertia_kg_m2
-        self._batch.set_const()
-        self._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
-        self._batch.state[:] = saved.physics
+        self.now = saved.vehicles
+        self._rotors = Rotors(self.quadrotor, self.now.parameters)
+        self._simulation.restore(saved.physics, self.now.parameters)
         self._air.restore(saved.air)
-        self._elapsed, self._touched, self._diverged = saved.elapsed, saved.touched, saved.diverged
-        self._motion, self._velocity_between, self._samples = saved.motion, saved.velocity_between, saved.samples
 
     def reset(
         self,
@@ -233,126 +178,68 @@ class BatchPlant:
         rows = np.flatnonzero(mask)
         if rows.size == 0:
             return
-        states.rows(rows).check(FASTEST)
+        states = states.rows(rows)
+        states.check(FASTEST)
+        own = (parameters or self.now.parameters).rows(rows)
         if parameters is not None:
-            self._parameters = self._parameters.replaced(mask, parameters)
-            self._rotors = Rotors(self.quadrotor, self._parameters)
-            self._masses[rows, self._body] = parameters.mass_kg[rows]
-            self._inertias[rows, self._body] = parameters.inertia_kg_m2[rows]
-            self._batch.set_const(rows)
-        self._air.renew(rows, self.winds if winds is None else self.winds.replaced(mask, winds))
-        self._batch.reset(rows, stage=mujoco.mjtStage.mjSTAGE_NONE)
-        self._pose[rows, :3] = states.position_m[rows]
-        self._pose[rows, 3:] = quat_wxyz_from_matrix(states.R_world_vehicle[rows])
-        self._twist[rows, :3] = states.velocity_m_s[rows]
-        self._twist[rows, 3:] = states.rate_rad_s[rows]
-        rotors = Rotors(self.quadrotor, self._parameters.rows(rows))
-        steady = rotors.steady_state(states.rotor_speed_rad_s[rows], states.battery_charge[rows])
-        self._state = self._state.with_rows(rows, steady)
-        for flags in (self._touched, self._diverged):
-            flags[rows] = False
-        self._elapsed[rows] = 0
-        self._motion[:, rows] = self._physics_motion(rows)
-        middle = self._step_interval(rows, rotors)
-        if self._imu:
-            before = 2.0 * self._motion[:, rows] - middle  # extrapolated to before t = 0
-            self._velocity_between[:, rows] = velocities_of(self.rig.T_vehicle_imu[:3, 3], before, self._step_s)
-            sampled = self._sample(rows, middle)
-            gyro, accel = self._samples.gyro_rad_s.copy(), self._samples.accel_m_s2.copy()
-            gyro[rows], accel[rows] = sampled.gyro_rad_s, sampled.accel_m_s2
-            self._samples = PointSamples(gyro, accel)
+            self._simulation.change_bodies(rows, own)
+        self._air.renew(rows, self.winds if winds is None else with_rows(self.winds, rows, winds.rows(rows)))
+        self._simulation.place(rows, states)
+        model, nothing = Rotors(self.quadrotor, own), np.zeros(rows.size, dtype=bool)
+        rotors = model.steady_state(states.rotor_speed_rad_s, states.battery_charge)
+        motion = self._simulation.motion(rows)
+        wrench = model.wrench(rotors, self._airflow(motion, rows))
+        flown = self._simulation.run(rows, motion, wrench, nothing, nothing)
+        between, samples = np.zeros((3, rows.size)), self.now.samples.rows(rows)
+        if flown.middle is not None:
+            before = extrapolated_back(flown.start, flown.middle)  # to before t = 0
+            between = velocities_of(self.rig.T_vehicle_imu[:3, 3], before, self._step_s)
+            between, samples = self._sample(flown.start, between, flown.middle)
+        elapsed = np.zeros(rows.size, dtype=np.int64)
+        placed = PlantState(own, rotors, elapsed, flown.touched, flown.diverged, flown.start, between, samples)
+        self.now = self.now.with_vehicles(rows, placed)
+        if parameters is not None:
+            self._rotors = Rotors(self.quadrotor, self.now.parameters)
 
     def advance(self, commands: Array) -> PointSamples:
         """Apply commands (n, 4) of rotor speeds [rad/s] for one IMU interval, and return the IMU samples at its end."""
-        finite = np.isfinite(commands)
+        now = self.now
+        diverged, finite = now.diverged, np.isfinite(commands)
         if not finite.all():
             rows = np.asarray(finite.all(axis=1))
-            self._diverged |= ~rows
-            commands = np.where(rows[:, None], commands, 0.0)
-        self._elapsed += 1
-        self._motion = self._physics_motion(_ALL)
-        self._state = self._rotors.step(self._state, commands, self.interval_s)
-        middle = self._step_interval(_ALL, self._rotors)
-        if self._imu:
-            self._samples = self._sample(_ALL, middle)
-        return self._samples
+            diverged, commands = diverged | ~rows, np.where(rows[:, None], commands, 0.0)
+        rotors = self._rotors.step(now.rotors, commands, self.interval_s)
+        motion = self._simulation.motion(_ALL)
+        wrench = self._rotors.wrench(rotors, self._airflow(motion, _ALL))
+        flown = self._simulation.run(_ALL, motion, wrench, now.touched, diverged)
+        between, samples = now.velocity_between, now.samples
+        if flown.middle is not None:
+            between, samples = self._sample(flown.start, between, flown.middle)
+        self.now = PlantState(
+            now.parameters, rotors, now.elapsed + 1, flown.touched, flown.diverged, flown.start, between, samples
+        )
+        return samples
 
-    def _physics_motion(self, rows: Rows) -> Array:
-        """Return the motion (13, k) of the physics."""
-        return np.concatenate([self._pose[rows].T, self._twist[rows].T])
-
-    def _step_interval(self, rows: Rows, rotors: Rotors) -> Array:
-        """Step the physics of k vehicles with their rotors by an interval.
-
-        Returns:
-            The motion (13, k) in the middle of the interval; that at its start in a plant without IMUs.
-        """
-        ids = None if isinstance(rows, slice) else rows
-        state = self._state if ids is None else self._state.rows(rows)
-        self._control[rows] = rotors.wrench(state, self._airflow(rows))
-        middle = self._run(ids) if self._imu else self._run_unrecorded(rows)
-        self._detect_contacts(rows)
-        stopped = self._stop_diverged(rows)
-        middle[:, stopped] = self._motion[:, rows][:, stopped]
-        return middle
-
-    def _run(self, ids: npt.NDArray[np.intp] | None) -> Array:
-        """Run the physics for an interval and return the motion (13, k) in its middle."""
-        record = self._record if ids is None else np.empty((len(ids), *self._record.shape[1:]))
-        self._batch.rollout(self._substeps, record=[_RECORDED], ids=ids, out={_RECORDED: record})
-        half = self._substeps // 2
-        middle = np.array(record[:, half - 1].T, order="C")
-        if self._substeps % 2:  # the middle is between two steps
-            middle = 0.5 * (middle + record[:, half].T)
-        return middle
-
-    def _run_unrecorded(self, rows: Rows) -> Array:
-        """Run the physics for an interval and return the motion (13, k) at its start."""
-        self._batch.step(None if isinstance(rows, slice) else rows, self._substeps)
-        return self._motion[:, rows]
-
-    def _airflow(self, rows: Rows) -> Airflow:
-        """Return the airflow at the selected vehicles, and advance the gusts by the distance of an interval."""
-        motion = self._motion[:, rows]
+    def _airflow(self, motion: Array, rows: Rows) -> Airflow:
+        """Return the airflow at k vehicles, and advance the gusts by the distance of an interval."""
         R = rotations(motion[QUATERNION])
         through_air = motion[VELOCITY] - self._air.velocity_m_s(rows).T
         self._air.move_through(np.sqrt((through_air * through_air).sum(axis=0)) * self.interval_s, rows)
         return Airflow(rotated_back(R, through_air).T, motion[RATE].T, R[2].T, motion[2] - self._ground_m)
 
-    def _detect_contacts(self, rows: Rows) -> None:
-        """Record collisions of the selected vehicles."""
-        candidates = np.flatnonzero((self._contacts[rows] > 0) & ~self._touched[rows])
-        if candidates.size:
-            indices = np.arange(self.count)[rows][candidates]
-            indices = indices[np.isfinite(self._pose[indices]).all(axis=1)]
-            self._touched[indices] = self._detector.detect(indices, self._pose[indices])
+    def _sample(self, motion: Array, before: Array, middle: Array) -> tuple[Array, PointSamples]:
+        """Return the samples of k IMUs, after their velocities (3, k) half an interval later.
 
-    def _stop_diverged(self, rows: Rows) -> npt.NDArray[np.intp]:
-        """Mark and stop diverging vehicles, and return which of the selected ones are stopped."""
-        pose, twist, warning = self._pose[rows], self._twist[rows], self._batch.warning[rows, :, 1]
-        diverged = self._diverged[rows]
-        slow = np.abs(pose).max() < FASTEST and np.abs(twist).max() < FASTEST  # false for NaN
-        if slow and not warning.any() and not diverged.any():
-            return _NONE
-        valid = (np.abs(pose) < FASTEST).all(axis=1) & (np.abs(twist) < FASTEST).all(axis=1)
-        stopped = np.flatnonzero(~valid | warning.any(axis=1) | diverged)
-        indices = np.arange(self.count)[rows][stopped]
-        self._diverged[indices] = True
-        self._motion[VELOCITY, indices] = 0.0
-        self._motion[RATE, indices] = 0.0
-        self._batch.reset(indices, stage=mujoco.mjtStage.mjSTAGE_NONE)
-        self._pose[indices] = self._motion[:7, indices].T
-        self._twist[indices] = 0.0
-        return stopped
-
-    def _sample(self, rows: Rows, middle: Array) -> PointSamples:
-        """Return the samples of k IMUs, given the motion (13, k) in the middle of the next interval."""
-        T, motion = self.rig.T_vehicle_imu, self._motion[:, rows]
-        before, after = self._velocity_between[:, rows], velocities_of(T[:3, 3], middle, self._step_s)
+        Args:
+            motion: (13, k) Motion at the clock.
+            before: (3, k) Velocities of the IMUs half an interval earlier [m/s].
+            middle: (13, k) Motion half an interval later.
+        """
+        T = self.rig.T_vehicle_imu
+        after = velocities_of(T[:3, 3], middle, self._step_s)
         R = rotations_at_velocities(motion, self._step_s)
         force = specific_forces(R, before, after, self.interval_s)  # in the vehicle frame
-        self._velocity_between[:, rows] = after
-        return PointSamples(motion[RATE].T @ T[:3, :3], force.T @ T[:3, :3])
+        return after, PointSamples(motion[RATE].T @ T[:3, :3], force.T @ T[:3, :3])
 
 
 def _substeps(interval_s: float, step_s: float) -> int:

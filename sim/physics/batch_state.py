@@ -1,4 +1,4 @@
-"""Samples and complete states of a batch plant."""
+"""Samples and states of a batch plant."""
 
 from dataclasses import dataclass
 
@@ -6,14 +6,14 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim.physics.rotors import RotorState
-from dronevio.sim.physics.vehicle_states import Mask, VehicleParameters
+from dronevio.sim.physics.vehicle_states import Mask, Table, VehicleParameters, with_rows
 from dronevio.sim.physics.wind import AirState
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class PointSamples:
+class PointSamples(Table):
     """One noise-free point sample of the IMU of each of n vehicles."""
 
     gyro_rad_s: Array
@@ -24,16 +24,12 @@ class PointSamples:
 
 @dataclass(frozen=True, eq=False)
 class PlantState:
-    """Complete state of a `BatchPlant`."""
+    """State of the vehicles of a `BatchPlant` at its clock, beside those of physics and air."""
 
-    physics: Array
-    """(n, S) States of MuJoCo."""
-    rotors: RotorState
-    """States of rotors and batteries."""
     parameters: VehicleParameters
     """Physical parameters of the vehicles."""
-    air: AirState
-    """State of the air."""
+    rotors: RotorState
+    """States of rotors and batteries."""
     elapsed: npt.NDArray[np.int64]
     """(n,) IMU intervals since the resets."""
     touched: Mask
@@ -41,8 +37,33 @@ class PlantState:
     diverged: Mask
     """(n,) Which simulations have diverged."""
     motion: Array
-    """(13, n) Motion of the physics at the clock."""
+    """(13, n) Motion of the physics."""
     velocity_between: Array
     """(3, n) Velocities of the IMUs half an interval after the clock [m/s]."""
     samples: PointSamples
     """IMU samples of the clock."""
+
+    def with_vehicles(self, rows: npt.NDArray[np.intp], part: "PlantState") -> "PlantState":
+        """Return a copy in which k vehicles (k,) have another state."""
+        return PlantState(
+            parameters=with_rows(self.parameters, rows, part.parameters),
+            rotors=with_rows(self.rotors, rows, part.rotors),
+            elapsed=with_rows(self.elapsed, rows, part.elapsed),
+            touched=with_rows(self.touched, rows, part.touched),
+            diverged=with_rows(self.diverged, rows, part.diverged),
+            motion=np.ascontiguousarray(with_rows(self.motion.T, rows, part.motion.T).T),
+            velocity_between=np.ascontiguousarray(with_rows(self.velocity_between.T, rows, part.velocity_between.T).T),
+            samples=with_rows(self.samples, rows, part.samples),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SavedPlant:
+    """Complete state of a `BatchPlant`."""
+
+    physics: Array
+    """(n, S) States of MuJoCo."""
+    air: AirState
+    """State of the air."""
+    vehicles: PlantState
+    """State of the vehicles."""

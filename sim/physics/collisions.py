@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 COLLISION_GROUP = 3
 """Group of the collision geoms; MuJoCo's viewers hide it by default."""
 FEET = "foot"
 """Prefix of the names of a vehicle's feet."""
-LEVEL = 0.7
-"""Smallest vertical component of the contact normal of a foot on the ground."""
+_LEVEL = 0.7  # smallest vertical component of the contact normal of a foot on the ground
 
 _COPIED = ("name", "type", "size", "pos", "quat", "group")
 _COPIED_TURN = ("type", "axisangle", "xyaxes", "zaxis", "euler")  # alternative parameters of an orientation
@@ -49,6 +49,11 @@ def add_collision_geoms(spec: mujoco.MjSpec, surroundings: mujoco.MjSpec) -> Non
                 setattr(copy.alt, name, getattr(geom.alt, name))
 
 
+def stands(is_foot: npt.NDArray[np.bool_], normal_z: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+    """Return which contacts are those of a foot on level ground, given the vertical components of their normals."""
+    return np.asarray(is_foot & (np.abs(normal_z) > _LEVEL))
+
+
 class CollisionDetector:
     """Detector of contacts other than those of a foot with the ground."""
 
@@ -65,7 +70,7 @@ class CollisionDetector:
         pairs = data.contact.geom
         flipped = self._of_world[pairs[:, :1]]
         own, other = np.where(flipped, pairs[:, ::-1], pairs).T
-        illegal = ~(self._feet[own] & (np.abs(data.contact.frame[:, 2]) > LEVEL))
+        illegal = ~stands(self._feet[own], data.contact.frame[:, 2])
         if not illegal.any():
             return None
         first = int(np.argmax(illegal))

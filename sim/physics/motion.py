@@ -14,13 +14,28 @@ import numpy.typing as npt
 from scipy.interpolate import make_interp_spline
 
 from dronevio.models.errors import ConfigError
-from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Times
+from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.rotation import exp_so3, log_so3, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
+from dronevio.sim.physics.batch_motion import specific_forces
 
 Array = npt.NDArray[np.float64]
 
-_GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
+
+def middle_of_interval(before: Array, after: Array, steps: int) -> Array:
+    """Return the state of the physics in the middle of an interval.
+
+    Args:
+        before: State after half of the steps, rounded down.
+        after: State one step later.
+        steps: Number of steps of the interval; the middle of an odd number is between two of them.
+    """
+    return 0.5 * (before + after) if steps % 2 else before
+
+
+def extrapolated_back(at: Array, middle: Array) -> Array:
+    """Return the state half an interval before the first one, given those at and half an interval after it."""
+    return 2.0 * at - middle
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +132,7 @@ class Motion:
             lever, self.twist_between, _rotations(self.pose_between, self.twist_between, self.step_s)
         )
         R_imu = _rotations(self.pose, self.twist, self.step_s) @ T_vehicle_imu[:3, :3]
-        force = _rotate_back(R_imu, np.diff(between, axis=0) / interval_s - _GRAVITY)
+        force = _specific_forces(R_imu, between, interval_s)
         return ImuSamples(self.t_ns, self.angular_velocity_rad_s(T_vehicle_imu), force, "point")
 
     def increments(self, T_vehicle_imu: Array) -> ImuSamples:
@@ -128,10 +143,10 @@ class Motion:
         R = _rotations(self.pose, self.twist, self.step_s)
         v = _velocity_of(T_vehicle_imu[:3, 3], self.twist, R)
         R_imu = R @ T_vehicle_imu[:3, :3]
-        dt_s = np.diff(self.t_ns)[:, None] * 1e-9
+        dt_s = np.diff(self.t_ns) * 1e-9
         turn = log_so3(np.swapaxes(R_imu[:-1], 1, 2) @ R_imu[1:])
-        force = _rotate_back(R_imu[:-1], np.diff(v, axis=0) / dt_s - _GRAVITY)
-        return ImuSamples(self.t_ns[1:], turn / dt_s, force, "increment")
+        force = _specific_forces(R_imu[:-1], v, dt_s)
+        return ImuSamples(self.t_ns[1:], turn / dt_s[:, None], force, "increment")
 
 
 def can_be_resampled(own_ns: int, interval_ns: int) -> bool:
@@ -162,6 +177,6 @@ def _velocity_of(lever: Array, twist: Array, R: Array) -> Array:
     return np.asarray(twist[:, :3] + (R @ np.cross(twist[:, 3:], lever)[..., None])[..., 0])
 
 
-def _rotate_back(R: Array, v: Array) -> Array:
-    """Return (N, 3) Rᵀ v."""
-    return np.asarray(np.einsum("nji,nj->ni", R, v))
+def _specific_forces(R: Array, v: Array, interval_s: Array | float) -> Array:
+    """Return (N, 3) mean specific forces between N + 1 velocities, in frames of orientations (N, 3, 3)."""
+    return specific_forces(R.transpose(1, 2, 0), v[:-1].T, v[1:].T, interval_s).T

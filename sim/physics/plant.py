@@ -6,24 +6,20 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.quadrotor import RESEARCH, Quadrotor
 from dronevio.models.rig import Rig
-from dronevio.models.rotation import cross, quat_wxyz_from_matrix
+from dronevio.models.rotation import cross
 from dronevio.models.state import NavState
-from dronevio.sim.physics.collisions import Collision, CollisionDetector
+from dronevio.sim.physics.collisions import Collision
 from dronevio.sim.physics.motion import Motion
 from dronevio.sim.physics.rotors import ALL_POWERED, Airflow, MotorFailure, Rotors
-from dronevio.sim.physics.vehicle import physics_model, standing_pose
-from dronevio.sim.physics.wind import CALM, Wind, make_air
+from dronevio.sim.physics.simulation import MotionRecord, Simulation
+from dronevio.sim.physics.vehicle import LONGEST_STEP_S, imu_interval_ns, physics_model, standing_pose
+from dronevio.sim.physics.wind import CALM, Air, Wind
 
 Array = npt.NDArray[np.float64]
 
-LONGEST_STEP_S = 1e-3
-"""Longest time step of the physics [s]; the step divides the IMU interval."""
-LOWEST_IMU_RATE_HZ = 100.0
-"""Lowest supported IMU rate [Hz], since rotor forces are constant between IMU samples."""
 _VEHICLE = np.eye(4)
 
 
@@ -61,20 +57,16 @@ class QuadrotorPlant:
         Raises:
             ConfigError: The IMU rate is too low, or there are gusts without an ``rng``.
         """
-        if rig.imu.rate_hz < LOWEST_IMU_RATE_HZ:
-            raise ConfigError(f"IMU rate of {rig.imu.rate_hz:g} Hz; expected at least {LOWEST_IMU_RATE_HZ:g} Hz")
         self.rig = rig
         self.quadrotor = quadrotor or RESEARCH
-        self.interval_ns = round(1e9 / rig.imu.rate_hz)
+        self.interval_ns = imu_interval_ns(rig)
         self.interval_s = self.interval_ns * 1e-9
-        self._substeps = max(2, int(np.ceil(self.interval_s / LONGEST_STEP_S - 1e-9)))
-        self._step_s = self.interval_s / self._substeps
+        substeps = max(2, int(np.ceil(self.interval_s / LONGEST_STEP_S - 1e-9)))
+        self._step_s = self.interval_s / substeps
         self._rotors = Rotors(self.quadrotor)
-        self._air = make_air(wind, rng)
+        self._air = Air(wind, rng)
         self._failure = failure or MotorFailure(0, np.inf)
-        self._model = physics_model(self.quadrotor, rig, self._step_s, surroundings)
-        self._data = mujoco.MjData(self._model)
-        self._collision_detector = CollisionDetector(self._model)
+        self._simulation = Simulation(physics_model(self.quadrotor, rig, self._step_s, surroundings), substeps)
         self._pad = np.zeros(3) if pad_m is None else np.asarray(pad_m, dtype=np.float64)
         self._standing = standing_pose(self.quadrotor, rig, self._step_s)
         self._standing[:3] += self._pad
@@ -83,7 +75,7 @@ class QuadrotorPlant:
     @property
     def t_ns(self) -> int:
         """Current time of the plant [ns]."""
-        return self._t_ns
+        return self._record.t_ns[-1]
 
     @property
     def rotor_speeds_rad_s(self) -> Array:
@@ -135,34 +127,21 @@ class QuadrotorPlant:
             rate_rad_s: (3,) Angular velocity in the vehicle frame [rad/s]; 0 by default.
             rotor_speeds_rad_s: (4,) Rotor speeds [rad/s]; 0 by default.
         """
-        mujoco.mj_resetData(self._model, self._data)
-        self._data.qpos[:] = self._standing
-        if T_world_vehicle is not None:
-            self._data.qpos[:3] = T_world_vehicle[:3, 3]
-            self._data.qpos[3:] = quat_wxyz_from_matrix(T_world_vehicle[:3, :3])
-        self._data.qvel[:3] = 0.0 if velocity_m_s is None else velocity_m_s
-        self._data.qvel[3:] = 0.0 if rate_rad_s is None else rate_rad_s
+        self._simulation.place(self._standing, T_world_vehicle, velocity_m_s, rate_rad_s)
         self._state = self._rotors.steady_state(np.zeros(4) if rotor_speeds_rad_s is None else rotor_speeds_rad_s)
         self._air.reset()
         self._collision: Collision | None = None
-        self._t_ns = 0
         self._sensed = 0
-        self._times = [0]
-        self._rows = [self._row()]
-        self._rotor_speeds = [self._state.speed_rad_s]
-        between = self._step_interval()
-        self._between = [2.0 * self._rows[0] - between, between]  # extrapolated to before t = 0
+        motion = self._simulation.motion()
+        self._record = MotionRecord(motion, self._run_interval(0, motion), self._state.speed_rad_s)
 
     def advance(self, t_ns: int, command: Array) -> None:
         """Apply a command (4,) of rotor speeds [rad/s] up to the last IMU time stamp not after ``t_ns``."""
         command = np.asarray(command, dtype=np.float64)
-        while self._t_ns + self.interval_ns <= t_ns:
-            self._t_ns += self.interval_ns
-            self._times.append(self._t_ns)
-            self._rows.append(self._row())
-            self._state = self._rotors.step(self._state, command, self.interval_s, self._powered())
-            self._rotor_speeds.append(self._state.speed_rad_s)
-            self._between.append(self._step_interval())
+        while (now_ns := self.t_ns + self.interval_ns) <= t_ns:
+            motion = self._simulation.motion()
+            self._state = self._rotors.step(self._state, command, self.interval_s, self._powered(now_ns))
+            self._record.add(now_ns, motion, self._run_interval(now_ns, motion), self._state.speed_rad_s)
 
     def step_until(self, t_ns: int, command: Array) -> ImuSamples:
         """Apply a command (4,) of rotor speeds [rad/s] until ``t_ns`` and return the new noise-free IMU samples.
@@ -172,16 +151,12 @@ class QuadrotorPlant:
         """
         self.advance(t_ns, command)
         samples = self.motion(self._sensed).points(self.rig.T_vehicle_imu, self.interval_s)
-        self._sensed = len(self._times)
+        self._sensed = len(self._record.t_ns)
         return samples
 
     def motion(self, first: int = 0) -> Motion:
         """Return the true motion since the reset at the IMU time stamps, from index ``first`` on."""
-        rows = np.array(self._rows[first:]).reshape(-1, 13)
-        between = np.array(self._between[first:])
-        times = np.array(self._times[first:], dtype=np.int64)
-        speeds = np.array(self._rotor_speeds[first:]).reshape(-1, 4)
-        return Motion(times, self._step_s, rows[:, :7], rows[:, 7:], between[:, :7], between[:, 7:], speeds)
+        return self._record.motion(first, self._step_s)
 
     def state(self) -> NavState:
         """Return the current true state of the IMU, with zero biases."""
@@ -193,7 +168,7 @@ class QuadrotorPlant:
 
     def _state_of(self, T_vehicle_sensor: Array) -> NavState:
         """Return the true state of a frame fixed to the vehicle: the last row of `Motion.trajectory`, but faster."""
-        row = self._rows[-1]
+        row = self._record.rows[-1]
         position, quat, velocity, rate = row[:3], row[3:7].copy(), row[7:10], row[10:]
         mujoco.mju_quatIntegrate(quat, rate, -0.5 * self._step_s)
         R = _matrix(quat)
@@ -202,7 +177,7 @@ class QuadrotorPlant:
         T[:3, :3] = R @ T_vehicle_sensor[:3, :3]
         T[:3, 3] = position - 0.5 * self._step_s * velocity + lever
         return NavState(
-            t_ns=self._t_ns,
+            t_ns=self.t_ns,
             T_world_imu=T,
             velocity_m_s=velocity + R @ cross(rate, T_vehicle_sensor[:3, 3]),
             gyro_bias_rad_s=np.zeros(3),
@@ -210,47 +185,32 @@ class QuadrotorPlant:
             angular_velocity_rad_s=rate @ T_vehicle_sensor[:3, :3],
         )
 
-    def _row(self) -> Array:
-        """Return pose and twist (13,) of the physics."""
-        return np.concatenate([self._data.qpos, self._data.qvel])
-
-    def _powered(self) -> npt.NDArray[np.bool_]:
-        """Return which rotors (4,) have power during the interval that ends now."""
-        if self._t_ns * 1e-9 <= self._failure.t_s:
+    def _powered(self, t_ns: int) -> npt.NDArray[np.bool_]:
+        """Return which rotors (4,) have power during the interval that ends at a time [ns]."""
+        if t_ns * 1e-9 <= self._failure.t_s:
             return ALL_POWERED
         return np.asarray(np.arange(4) != self._failure.rotor)
 
-    def _step_interval(self) -> Array:
-        """Step the physics to the next IMU time stamp and return the row (13,) of the middle of the interval.
+    def _run_interval(self, t_ns: int, motion: Array) -> Array:
+        """Run the physics for the interval that starts at a time [ns] with a motion (13,).
 
         The physics are one interval ahead of the clock, since the wrench does not depend on the current command.
+
+        Returns:
+            The motion (13,) in the middle of the interval.
         """
-        model, data = self._model, self._data
-        data.ctrl[:] = self._rotors.wrench(self._state, self._airflow())
-        half = self._substeps // 2
-        mujoco.mj_step(model, data, half)
-        row = self._row()
-        if self._substeps % 2:  # the middle is between two steps
-            mujoco.mj_step(model, data, 1)
-            row = 0.5 * (row + self._row())
-        mujoco.mj_step(model, data, half)
-        self._record_collision()
-        return row
+        middle = self._simulation.run(self._rotors.wrench(self._state, self._airflow(motion)))
+        touching = self._simulation.touching()
+        if touching is not None and self._collision is None:
+            self._collision = Collision(t_ns + self.interval_ns, *touching, float(np.linalg.norm(motion[7:10])))
+        return middle
 
-    def _airflow(self) -> Airflow:
+    def _airflow(self, motion: Array) -> Airflow:
         """Return the airflow at the drone, and advance the gusts by the distance of an interval."""
-        data = self._data
-        R = _matrix(data.qpos[3:])
-        through_air = data.qvel[:3] - self._air.velocity_m_s()
+        R = _matrix(motion[3:7])
+        through_air = motion[7:10] - self._air.velocity_m_s()
         self._air.move_through(np.asarray(sqrt(through_air @ through_air) * self.interval_s))
-        return Airflow(through_air @ R, data.qvel[3:], R[2], data.qpos[2] - self._pad[2])
-
-    def _record_collision(self) -> None:
-        """Store the first collision; the physics are at the end of the interval that starts at the clock."""
-        touched = self._collision_detector.detect(self._data)
-        if touched is not None and self._collision is None:
-            speed = float(np.linalg.norm(self._rows[-1][7:10]))
-            self._collision = Collision(self._t_ns + self.interval_ns, *touched, speed)
+        return Airflow(through_air @ R, motion[10:], R[2], motion[2] - self._pad[2])
 
 
 def _matrix(quat_wxyz: Array) -> Array:

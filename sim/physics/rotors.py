@@ -15,7 +15,7 @@ import numpy.typing as npt
 from dronevio.models.quadrotor import AIR_DENSITY_KG_M3, Quadrotor
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import skew
-from dronevio.sim.physics.vehicle_states import Rows, VehicleParameters
+from dronevio.sim.physics.vehicle_states import Table, VehicleParameters
 
 Array = npt.NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class MotorFailure(Settings):
 
 
 @dataclass(frozen=True, eq=False)
-class RotorState:
+class RotorState(Table):
     """State of rotors and battery of one simulation or many."""
 
     speed_rad_s: Array
@@ -47,20 +47,6 @@ class RotorState:
     voltage_v: Array
     """(…) Voltage of the battery under the steady load of these speeds [V]; accelerations, shorter than the time
     constants of the cell chemistry, are not included."""
-
-    def rows(self, rows: Rows) -> "RotorState":
-        """Return the selected rows of the states of many simulations."""
-        return RotorState(
-            self.speed_rad_s[rows], self.acceleration_rad_s2[rows], self.charge[rows], self.voltage_v[rows]
-        )
-
-    def with_rows(self, rows: npt.NDArray[np.intp], other: "RotorState") -> "RotorState":
-        """Return a copy in which k rows (k,) are those of another state."""
-        speed, acceleration = self.speed_rad_s.copy(), self.acceleration_rad_s2.copy()
-        charge, voltage = self.charge.copy(), self.voltage_v.copy()
-        speed[rows], acceleration[rows] = other.speed_rad_s, other.acceleration_rad_s2
-        charge[rows], voltage[rows] = other.charge, other.voltage_v
-        return RotorState(speed, acceleration, charge, voltage)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.quadrotor import ROTOR_NAMES, Quadrotor
 from dronevio.models.rig import Rig
@@ -12,7 +13,22 @@ from dronevio.sim.physics.collisions import COLLISION_GROUP, add_collision_geoms
 
 Array = npt.NDArray[np.float64]
 
+LONGEST_STEP_S = 1e-3
+"""Longest time step of the physics [s]; the step divides the IMU interval."""
+LOWEST_IMU_RATE_HZ = 100.0
+"""Lowest supported IMU rate [Hz], since rotor forces are constant between IMU samples."""
 _SETTLING_S = 1.0  # until the springs of the feet are at rest
+
+
+def imu_interval_ns(rig: Rig) -> int:
+    """Return the time between two IMU samples [ns].
+
+    Raises:
+        ConfigError: The IMU rate is too low for the physics.
+    """
+    if rig.imu.rate_hz < LOWEST_IMU_RATE_HZ:
+        raise ConfigError(f"IMU rate of {rig.imu.rate_hz:g} Hz; expected at least {LOWEST_IMU_RATE_HZ:g} Hz")
+    return round(1e9 / rig.imu.rate_hz)
 
 
 def quadrotor_spec(quadrotor: Quadrotor, rig: Rig) -> mujoco.MjSpec:

@@ -1,8 +1,7 @@
 """True states and physical parameters of many vehicles of one type, as arrays with one row a vehicle."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
-from typing import Any, Self
+from dataclasses import dataclass, fields, replace
+from typing import Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +14,8 @@ Mask = npt.NDArray[np.bool_]
 Rows = slice | npt.NDArray[np.intp]
 """Selection of rows: all of them as ``slice(None)``, or an array of indices."""
 
+Batch = TypeVar("Batch")
+
 
 class Table:
     """Base of dataclasses whose fields are arrays with one row a vehicle."""
@@ -24,20 +25,24 @@ class Table:
 
     def rows(self, rows: Rows) -> Self:
         """Return the selected rows."""
-        return self._mapped(lambda name: getattr(self, name)[rows])
+        return type(self)(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})  # type: ignore[arg-type]
 
-    def replaced(self, mask: Mask, other: Self) -> Self:
-        """Return a copy whose rows in a mask (n,) are those of another table of the same length."""
-        return self._mapped(
-            lambda name: np.where(
-                mask.reshape(-1, *[1] * (getattr(self, name).ndim - 1)), getattr(other, name), getattr(self, name)
-            )
-        )
 
-    def _mapped(self, function: Callable[[str], Array]) -> Self:
-        """Return a table of the values of a function of the names of the fields."""
-        values: dict[str, Any] = {field.name: function(field.name) for field in fields(self)}  # type: ignore[arg-type]
-        return type(self)(**values)
+def with_rows(table: Batch, rows: npt.NDArray[np.intp], part: Batch) -> Batch:
+    """Return a copy of an array, or of a dataclass of arrays, with some rows replaced.
+
+    Args:
+        table: Arrays of n rows.
+        rows: (k,) Indices of the rows to replace.
+        part: The same arrays of k new rows.
+    """
+    if isinstance(table, np.ndarray):
+        copy = table.copy()
+        copy[rows] = part
+        return copy
+    names = [field.name for field in fields(table)]  # type: ignore[arg-type]
+    changes = {name: with_rows(getattr(table, name), rows, getattr(part, name)) for name in names}
+    return replace(table, **changes)  # type: ignore[type-var]
 
 
 @dataclass(frozen=True, eq=False)

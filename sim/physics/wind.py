@@ -7,7 +7,7 @@ are functions of distance. The filters here are functions of distance, too, and 
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Protocol, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -89,74 +89,50 @@ class Winds(Table):
         return cls(np.tile(np.array(wind.mean_m_s), (count, 1)), np.full(count, wind.gusts))
 
 
-class Air(Protocol):
-    """Interface of the air around one vehicle or many."""
-
-    def reset(self) -> None:
-        """Start a new flight."""
-
-    def velocity_m_s(self) -> Array:
-        """Return the current velocity (…, 3) of the air in the world frame [m/s]."""
-
-    def move_through(self, distance_m: Array) -> None:
-        """Advance by distances (…) through the air [m]."""
-
-
-class SteadyAir:
-    """Wind without gusts; implements `Air`."""
-
-    def __init__(self, wind: Wind) -> None:
-        self._velocity = np.array(wind.mean_m_s)
-
-    def reset(self) -> None:
-        """Do nothing."""
-
-    def velocity_m_s(self) -> Array:
-        """Return the velocity (3,) of the air in the world frame [m/s]."""
-        return self._velocity
-
-    def move_through(self, distance_m: Array) -> None:
-        """Do nothing, since the wind is uniform."""
-
-
-class GustyAir:
-    """Wind with Dryden gusts; implements `Air`.
+class Air:
+    """Air around one vehicle, or around many in the same wind: the mean wind, and Dryden gusts if it has some.
 
     With p the derivative with respect to distance in scale lengths, the component along the wind is √2 / (1 + p)
     applied to white noise, the others (1 + √3 p) / (1 + p)², all scaled by their standard deviations. In the states x₁'
     = −x₁ + n and x₂' = −x₂ + x₁ these are √2 x₁ and √3 x₁ + (1 − √3) x₂.
     """
 
-    def __init__(self, wind: Wind, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> None:
+    def __init__(self, wind: Wind, rng: np.random.Generator | None = None, shape: tuple[int, ...] = ()) -> None:
         """Draw the initial gusts.
 
         Args:
             wind: Mean wind and strength of gusts.
             rng: Generator of the gusts.
             shape: Shape of the batch of vehicles, each with independent gusts.
+
+        Raises:
+            ConfigError: There are gusts, but no random generator.
         """
-        self._mean = np.array(wind.mean_m_s)
-        self._lengths = wind.gust_lengths_m
-        self._axes = wind.axes
-        self._scales = wind.gust_deviations_m_s
-        self._rng = rng
-        self._shape = shape
+        self._mean, self._axes = np.array(wind.mean_m_s), wind.axes
+        self._lengths, self._scales = wind.gust_lengths_m, wind.gust_deviations_m_s
+        if self._scales.any() and rng is None:
+            raise ConfigError("gusts without a random generator; expected one")
+        self._rng = rng if self._scales.any() else None
+        self._first = self._second = np.zeros((*shape, 3))
         self.reset()
 
     def reset(self) -> None:
-        """Draw gusts from the stationary distribution."""
-        self._first, self._second = _stationary(self._rng.standard_normal((2, *self._shape, 3)))
+        """Start a new flight with gusts from the stationary distribution."""
+        if self._rng is not None:
+            self._first, self._second = _stationary(self._rng.standard_normal((2, *self._first.shape)))
 
     def velocity_m_s(self) -> Array:
-        """Return the velocity (…, 3) of the air in the world frame [m/s]."""
-        gust = self._scales * (_DIRECT * self._first + _DELAYED * self._second)
-        return np.asarray(self._mean + gust @ self._axes)
+        """Return the current velocity (…, 3) of the air in the world frame [m/s]."""
+        if self._rng is None:
+            return self._mean
+        return np.asarray(self._mean + self._scales * _gust(self._first, self._second) @ self._axes)
 
     def move_through(self, distance_m: Array) -> None:
         """Advance by distances (…) through the air [m]."""
-        n = self._rng.standard_normal((2, *self._shape, 3))
-        distance = np.asarray(distance_m)[..., None] / self._lengths
-        self._first, self._second = _moved(self._first, self._second, distance, n)
+        if self._rng is not None:
+            n = self._rng.standard_normal((2, *self._first.shape))
+            distance = np.asarray(distance_m)[..., None] / self._lengths
+            self._first, self._second = _moved(self._first, self._second, distance, n)
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +214,7 @@ class BatchAir:
         """Return the current velocities (k, 3) of the air in the world frame [m/s] at the selected vehicles."""
         if not self._gusty:
             return self._winds.mean_m_s[rows]
-        gust = self._scales[rows] * (_DIRECT * self._first[rows] + _DELAYED * self._second[rows])
+        gust = self._scales[rows] * _gust(self._first[rows], self._second[rows])
         return np.asarray(self._winds.mean_m_s[rows] + np.vecmat(gust, self._axes[rows]))
 
     def move_through(self, distance_m: Array, rows: Rows = slice(None)) -> None:
@@ -249,6 +225,11 @@ class BatchAir:
         n = rng.standard_normal((2, len(distance_m), 3))
         distance = distance_m[:, None] / self._unit.gust_lengths_m
         self._first[rows], self._second[rows] = _moved(self._first[rows], self._second[rows], distance, n)
+
+
+def _gust(first: Array, second: Array) -> Array:
+    """Return the gusts (…, 3) of unit variance, along the wind, across it and upwards, given both states (…, 3)."""
+    return np.asarray(_DIRECT * first + _DELAYED * second)
 
 
 def _stationary(n: Array) -> tuple[Array, Array]:
@@ -269,16 +250,3 @@ def _moved(first: Array, second: Array, distance: Array, n: Array) -> tuple[Arra
     l21 = q12 / np.maximum(l11, _LEAST)
     l22 = np.sqrt(np.maximum(q22 - l21 * l21, 0.0))
     return decay * first + l11 * n[0], decay * (distance * first + second) + l21 * n[0] + l22 * n[1]
-
-
-def make_air(wind: Wind, rng: np.random.Generator | None) -> Air:
-    """Return the air model of a wind.
-
-    Raises:
-        ConfigError: There are gusts, but no random generator.
-    """
-    if not np.any(wind.gust_deviations_m_s):
-        return SteadyAir(wind)
-    if rng is None:
-        raise ConfigError("gusts without a random generator; expected one")
-    return GustyAir(wind, rng)

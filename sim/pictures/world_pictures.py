@@ -83,8 +83,8 @@ def pictures_of_worlds(
         if name not in WORLDS:
             raise ConfigError(f"unknown world {name!r}; expected one of {', '.join(WORLDS)}")
     files = {name: _file(f"{name} {seed} {count} {camera}") for name in names}
-    found = {name: _read(file, count, camera) for name, file in files.items()}
-    missing = [name for name, pictures in found.items() if pictures is None]
+    by_world = {name: _read(file, count, camera) for name, file in files.items()}
+    missing = [name for name, pictures in by_world.items() if pictures is None]
     if missing:
         shares = min(workers or default_workers(len(missing), 1), len(missing))
         with tempfile.TemporaryDirectory(prefix="dronevio-") as scratch:
@@ -92,9 +92,9 @@ def pictures_of_worlds(
             tasks = [PictureTask(tuple(missing[k::shares]), seed, count, camera, folder) for k in range(shares)]
             run_tasks(tasks, len(missing) * count, progress)
             for name in missing:
-                found[name] = _read(folder / f"{name}.png", count, camera)
+                by_world[name] = _read(folder / f"{name}.png", count, camera)
                 _store(folder / f"{name}.png", files[name])
-    return [pictures for name in names if (pictures := found[name]) is not None]
+    return [pictures for name in names if (pictures := by_world[name]) is not None]
 
 
 def _file(arguments: str) -> Path | None:

@@ -176,16 +176,16 @@ def _flying(count: int, imu: bool, step_s: float = STEP_S) -> Callable[[int], No
         plant.reset(mask, states, parameters, winds)
         if imu:
             errors.reset(mask)
-            rows, samples = np.flatnonzero(mask), plant.samples
+            rows, samples = np.flatnonzero(mask), plant.now.samples
             perfect = np.hstack([samples.gyro_rad_s, samples.accel_m_s2])
-            errors.first(perfect[rows], rows, plant.rotor_speeds_rad_s[rows])
+            errors.first(perfect[rows], rows, plant.now.rotors.speed_rad_s[rows])
 
     def step(action: int) -> None:
         reset(np.arange(count) % _EPISODE == action % _EPISODE if action else np.ones(count, dtype=bool))
         for _ in range(intervals):
             samples = plant.advance(commands)
             if imu:
-                errors.add_to(np.hstack([samples.gyro_rad_s, samples.accel_m_s2]), plant.rotor_speeds_rad_s)
+                errors.add_to(np.hstack([samples.gyro_rad_s, samples.accel_m_s2]), plant.now.rotors.speed_rad_s)
         assert len(plant.states) == count
 
     return step

@@ -146,7 +146,7 @@ def _trees(rng: Random, route: Array, toward: Array) -> list[tuple[Vegetation, A
         np.abs(places) < _HIGH[:2] + 0.45, axis=1
     )
     around = np.linalg.norm(places, axis=1) < _WOODS_M
-    found = []
+    trees = []
     for place, radius in zip(*(v[free & around & ~in_clearing & ~near_border] for v in (places, radii)), strict=True):
         inside = bool(np.all(np.abs(place) < _HIGH[:2]))
         tall = 6.8 + 14.0 * radius + rng.uniform(0.0, 2.5)
@@ -156,8 +156,8 @@ def _trees(rng: Random, route: Array, toward: Array) -> list[tuple[Vegetation, A
         plant = plant.moved(np.eye(3), np.array([*place, 0.0]))
         if not inside:
             plant = Vegetation(plant.wood, plant.leaves, ())
-        found.append((plant, place, float(radius)))
-    return found
+        trees.append((plant, place, float(radius)))
+    return trees
 
 
 def _undergrowth(
@@ -171,7 +171,7 @@ def _undergrowth(
     low, high = _FREE_BOX_M[:, :2]
     clear &= ~np.all((thrown > low - 0.8) & (thrown < high + 0.8), axis=1)
     off_route = outdoors.distance_to_legs(thrown, route)
-    found: list[Vegetation] = []
+    plants: list[Vegetation] = []
     boulders: list[tuple[Array, Box]] = []
     for place, off in zip(thrown[clear], off_route[clear], strict=True):
         inside = bool(np.all(np.abs(place) < _HIGH[:2] - 0.9))
@@ -180,19 +180,19 @@ def _undergrowth(
         R = rotation_z(rng.uniform(0.0, 2.0 * np.pi))
         if not inside or off < _LOOSE_M + 0.8:
             if rng.random() < 0.75 and np.any(np.abs(place) > _HIGH[:2] - 2.0):
-                found.append(vegetation.fern(rng).moved(R, at))
+                plants.append(vegetation.fern(rng).moved(R, at))
             continue
         if kind < 0.42:
-            found.append(vegetation.bush(rng, toward).moved(R, at))
+            plants.append(vegetation.bush(rng, toward).moved(R, at))
         elif kind < 0.72:
             half = rng.uniform(0.3, 0.75) * np.array([1.0, rng.uniform(0.7, 1.0), rng.uniform(0.6, 0.9)])
             grid, box = vegetation.boulder(rng, half)
             boulders.append((grid @ R.T + at, box.moved(R, at)))
         elif kind < 0.84:
-            found.append(vegetation.log(rng, rng.uniform(0.12, 0.2), rng.uniform(1.2, 1.6), 3).moved(R, at))
+            plants.append(vegetation.log(rng, rng.uniform(0.12, 0.2), rng.uniform(1.2, 1.6), 3).moved(R, at))
         else:
-            found.append(vegetation.fern(rng).moved(R, at))
-    return found, boulders
+            plants.append(vegetation.fern(rng).moved(R, at))
+    return plants, boulders
 
 
 def _shade(place: Array, radius_m: float) -> Box:

@@ -221,15 +221,15 @@ def _trees(rng: Random, toward: Array) -> list[Vegetation]:
     """Return trees all around, behind everything else."""
     places, _ = outdoors.scattered(rng, (-48.0, -40.0), (48.0, 40.0), 420, np.full(420, 1.3), 0.6)
     outside = np.any(np.abs(places) > _FENCE_M + [9.5, 10.0], axis=1)
-    found = []
+    trees = []
     for place in places[outside]:
         radius = rng.uniform(0.12, 0.24)
         trunk = rng.uniform(1.6, 2.6)
         plant = vegetation.tree(
             rng, radius, trunk + rng.uniform(4.5, 7.0), trunk - 0.6, int(rng.integers(4)), toward, 130
         )
-        found.append(plant.moved(np.eye(3), np.array([*place, -0.05])))
-    return found
+        trees.append(plant.moved(np.eye(3), np.array([*place, -0.05])))
+    return trees
 
 
 def _crown(tree: Vegetation) -> Box:

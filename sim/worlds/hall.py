@@ -153,45 +153,47 @@ def _floor(rng: Random, height: int, width: int, palette: _Palette) -> Image:
 
 def _machines(rng: Random) -> list[Kit]:
     """Return the machines along the north side, which face south, and the turbine in the east."""
-    found = []
+    machines = []
     widths = rng.dirichlet(np.full(4, 12.0)) * (12.6 - 3 * 0.8)
     left = -6.3
     for w in widths:
         made = machinery.machine(rng, float(w), rng.uniform(1.7, 2.2), rng.uniform(1.9, 2.9))
-        found.append(made.moved(rotation_z(np.pi), np.array([left + 0.5 * w, 5.4 + rng.uniform(-0.15, 0.15), 0.0])))
+        machines.append(made.moved(rotation_z(np.pi), np.array([left + 0.5 * w, 5.4 + rng.uniform(-0.15, 0.15), 0.0])))
         left += w + 0.8
-    found.append(machinery.turbine(rng).moved(rotation_z(float(rng.choice([0.0, np.pi]))), np.array([10.0, 0.0, 0.0])))
-    found += [machinery.cabinet(rng).moved(rotation_z(np.pi), np.array([x, 7.6, 0.0])) for x in (8.6, 9.8, -9.4)]
-    found.append(machinery.cabinet(rng).moved(rotation_z(0.5 * np.pi), np.array([13.6, -5.4, 0.0])))
-    return found
+    machines.append(
+        machinery.turbine(rng).moved(rotation_z(float(rng.choice([0.0, np.pi]))), np.array([10.0, 0.0, 0.0]))
+    )
+    machines += [machinery.cabinet(rng).moved(rotation_z(np.pi), np.array([x, 7.6, 0.0])) for x in (8.6, 9.8, -9.4)]
+    machines.append(machinery.cabinet(rng).moved(rotation_z(0.5 * np.pi), np.array([13.6, -5.4, 0.0])))
+    return machines
 
 
 def _tanks(rng: Random) -> list[Kit]:
     """Return the tanks along the south side, and the pipes between them."""
-    found = []
+    tanks = []
     tops = []
     places = np.array([-5.6, -2.6, 0.6, 4.2]) + rng.uniform(-0.25, 0.25, 4)
     for number, x in enumerate(places):
         r, h = rng.uniform(0.7, 0.98), rng.uniform(2.7, 3.9)
-        found.append(machinery.tank(rng, r, h, number + 1).moved(np.eye(3), np.array([x, -4.7, 0.0])))
+        tanks.append(machinery.tank(rng, r, h, number + 1).moved(np.eye(3), np.array([x, -4.7, 0.0])))
         tops.append((float(x), h))
     colour = machinery.PIPE_COLOURS[int(rng.integers(5))]
     for (x0, _), (x1, _) in pairwise(tops):
-        found.append(pipe_run([(x0 + 0.5, -4.7, 0.24), (x1 - 0.5, -4.7, 0.24)], 0.11, colour))
-    return found
+        tanks.append(pipe_run([(x0 + 0.5, -4.7, 0.24), (x1 - 0.5, -4.7, 0.24)], 0.11, colour))
+    return tanks
 
 
 def _stores(rng: Random) -> list[Kit]:
     """Return the stored goods in the west and in the corners."""
-    found = []
+    stores = []
     for y in (-5.6, -3.8, -2.6, 2.8, 4.6):
         make = machinery.crates if rng.random() < 0.62 else machinery.drums
         where = np.array([-12.4 + rng.uniform(-0.2, 0.3), y + rng.uniform(-0.1, 0.1), 0.0])
-        found.append(make(rng).moved(rotation_z(rng.uniform(-0.15, 0.15)), where))
+        stores.append(make(rng).moved(rotation_z(rng.uniform(-0.15, 0.15)), where))
     for x, y in ((-12.6, 6.6), (12.7, 6.8), (11.0, 6.8), (12.8, -6.9)):
         make = machinery.crates if rng.random() < 0.5 else machinery.drums
-        found.append(make(rng).moved(rotation_z(rng.uniform(-0.2, 0.2)), np.array([x, y, 0.0])))
-    return found
+        stores.append(make(rng).moved(rotation_z(rng.uniform(-0.2, 0.2)), np.array([x, y, 0.0])))
+    return stores
 
 
 def _overhead(rng: Random) -> list[Kit]:

@@ -6,15 +6,16 @@ from pathlib import Path
 import pytest
 
 from dronevio.cli import main
-from dronevio.eval.benchmark.rows import Row, write_rows
+from dronevio.eval.benchmark.rows import write_rows
+from tests.rows import row_of
 
 
 def write_results(path: Path, errors_m: dict[str, Sequence[float | None]]) -> str:
     """Write runs with the given position errors for each estimator, None for a failed run, and return the path."""
     rows = [
-        Row("room-v0", "room", seed, estimator, "c", "v", "ok", ate_m=value, rpe_m=1.0, coverage_percent=100.0)
+        row_of("room-v0", "room", seed, estimator, "c", "v", "ok", ate_m=value, rpe_m=1.0, coverage_percent=100.0)
         if value is not None
-        else Row("room-v0", "room", seed, estimator, "c", "v", "failed", reason="no pose")
+        else row_of("room-v0", "room", seed, estimator, "c", "v", "failed", reason="no pose")
         for estimator, values in errors_m.items()
         for seed, value in enumerate(values)
     ]

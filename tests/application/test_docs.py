@@ -120,8 +120,8 @@ def test_estimators_as_documented_take_part_in_a_benchmark(
     estimators = ["class=python:own_estimator:AlwaysAtOrigin", "script=external:./mine.sh {recording} {output}"]
     assert main(["benchmark", "--recordings", str(flown.folder), "--estimators", *estimators, "--out", "rows"]) == 0
     rows = {row.estimator: row for row in read_rows(tmp_path / "rows")}
-    assert [(row.status, row.coverage_percent) for row in rows.values()] == [("ok", 100.0)] * 2
-    errors_m = [row.ate_m or 0.0 for row in rows.values()]
+    assert [(row.status, row["coverage_percent"]) for row in rows.values()] == [("ok", 100.0)] * 2
+    errors_m = [row["ate_m"] or 0.0 for row in rows.values()]
     assert errors_m[0] == pytest.approx(errors_m[1], rel=1e-3)
     assert errors_m[0] > 0.05
 

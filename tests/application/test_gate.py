@@ -1,26 +1,26 @@
 """``dronevio gate`` and ``compare`` on results that are written by hand."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from dronevio.cli import main
-from dronevio.eval.benchmark.rows import Row, write_rows
+from dronevio.eval.benchmark.rows import write_rows
+from tests.rows import changed, row_of
 
-CLEAN = Row(
+CLEAN = row_of(
     "room-v0", "room", 0, "vio", "c", "v", "ok", ate_m=0.01, rpe_m=0.01, longest_loss_s=0.0, tracking_sigmas=2.0
 )
 
 
 def test_gate_without_a_baseline_checks_expected_outcomes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    drops = replace(CLEAN, scenario="room-drops-v0", ate_m=0.039)
+    drops = changed(CLEAN, scenario="room-drops-v0", ate_m=0.039)
     results = tmp_path / "results.parquet"
     write_rows(results, [CLEAN, drops])
     assert main(["gate", str(results)]) == 0
     assert "gate passed: 2 of 2 runs as expected" in capsys.readouterr().out
-    write_rows(results, [CLEAN, replace(drops, ate_m=0.041)])
+    write_rows(results, [CLEAN, changed(drops, ate_m=0.041)])
     assert main(["gate", str(results), "--json"]) == 1
     (violation,) = json.loads(capsys.readouterr().out)["violations"]
     assert violation == "room-drops-v0, seed 0, vio: error 4.1 ×; expected: error ≤ 4 ×"
@@ -33,7 +33,7 @@ def test_gate_without_a_baseline_checks_expected_outcomes(tmp_path: Path, capsys
 
 def test_gates_that_cannot_be_judged_are_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     results = str(tmp_path)
-    write_rows(tmp_path / "results.parquet", [CLEAN, replace(CLEAN, estimator="dead-reckoning", ate_m=0.3)])
+    write_rows(tmp_path / "results.parquet", [CLEAN, changed(CLEAN, estimator="dead-reckoning", ate_m=0.3)])
     assert main(["gate", results, "--baseline", str(tmp_path / "nowhere.parquet")]) == 2
     assert main(["gate", results, "--baseline", results, "--max-regression", "little"]) == 2
     assert main(["gate", results, "--baseline", results, "--metrics", "beauty"]) == 2

@@ -135,8 +135,8 @@ def test_a_splice_with_another_flight_is_in_its_time(kidnappings: Any) -> None:
 def test_rows_state_what_is_in_time(kidnappings: Any) -> None:
     splice = kidnappings.Splice(12.0, 28.5)
     found = kidnappings.Outcome(1.0, 2.5, 0.0126, 0.01, wrong=False)
-    assert kidnappings.cells(3, ("a", "b"), splice, found) == (
+    assert tuple(kidnappings.row_of(3, ("a", "b"), splice, found).values()) == (
         "3: `a` + `b`", "12.0, 28.5", "1.00", "2.50", "1.50", "13", "0.57", "in time"
     )  # fmt: skip
     lost = kidnappings.Outcome(None, None, None, None, wrong=False)
-    assert kidnappings.cells(0, ("a", "a"), splice, lost)[0::7] == ("0: `a`", "not joined")
+    assert tuple(kidnappings.row_of(0, ("a", "a"), splice, lost).values())[0::7] == ("0: `a`", "not joined")

@@ -32,7 +32,7 @@ def test_added_times_are_those_of_the_same_turn(map_cost: Any) -> None:
         map_cost.Turn(run_of([6.0] * 99 + [8.0] * 2), run_of([8.0] * 101), cost(101, 40, 2, 0.505)),
     ]
     expected = ("2", "6.0", "0.5 (0.1, 2.0)", "0.0 (0.0, 0.5)", "4.0", "40", "2, at 5.0 times the rate", "0")
-    assert map_cost.cells(2, turns, cost(101, 40, 0, 0.5)) == expected
+    assert tuple(map_cost.row_of(2, turns, cost(101, 40, 0, 0.5)).values()) == expected
 
 
 def test_frames_come_at_their_times(map_cost: Any) -> None:

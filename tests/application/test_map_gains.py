@@ -139,7 +139,7 @@ def test_flights_without_loops_are_not_in_the_median(tables: Any, flight: Callab
 def test_altered_samples(gains: Any, script: Callable[[str], Any], noise_recording: Callable[..., Any]) -> None:
     """The noise that is added has √8 times the stated density, so that with the stated one it has three times."""
     short = noise_recording(frames=2000)
-    recording = script("wrong_inputs").ChangedRecording("n", short.rig, short.imu, short.frame_times_ns, short.frame)
+    recording = script("measuring").ChangedRecording("n", short.rig, short.imu, short.frame_times_ns, short.frame)
     model, added = short.rig.imu, {}
     for name in gains.ALTERATIONS:
         altered = gains.ALTERATIONS[name](recording, np.random.default_rng(1)).imu

@@ -176,7 +176,7 @@ def test_flights_are_tabulated_by_policy_and_state(script: Callable[[str], Any])
         result("hover", "estimate", 0, True, "time limit", 10.0, 0.05, 0.02),
         result("hover", "estimate", 1, False, "ground", 2.0, 1.05, 0.04),
     ]
-    assert list(flights.rows_of(results)) == [
+    assert [tuple(row.values()) for row in flights.rows_of(results)] == [
         ("race", "estimate", "1", "0", "–", "–", "–", "1 no take-off"),
         ("hover", "truth", "2", "2", "0.020", "10.00", "0.030", "2 time limit"),
         ("hover", "estimate", "2", "1", "0.550", "10.00", "0.030", "1 time limit, 1 ground"),

@@ -84,7 +84,7 @@ def test_errors_are_in_the_frame_of_the_file(reloaded: Any) -> None:
     assert found.rmse_m == pytest.approx(np.sqrt((3 * 0.03**2 + 0.06**2) / 4))  # a constant offset remains
     assert found.odometry_m == pytest.approx(0.0, abs=1e-9)
     assert found.final_m == pytest.approx(0.0, abs=1e-9)  # where the map has the true poses
-    assert reloaded.cells("light", 10.0, found) == (
+    assert tuple(reloaded.row_of("light", 10.0, found).values()) == (
         *("`light`", "10", "4.00", "30.0", "39.7", "0.0", "3", "0.0"),
         "scale by the IMU",
     )
@@ -102,7 +102,7 @@ def test_a_flight_that_is_not_joined_has_no_errors(reloaded: Any) -> None:
     in_world, _ = reloaded.map_frame_in_world(with_map(flight(0)), truth())
     found = reloaded.outcome_of(flight(joined_at=N), truth(), in_world)
     assert (found.joined_s, found.first_error_m, found.rmse_m, found.loops) == (None, None, None, 0)
-    assert reloaded.cells("far", 0.0, found)[2:7] == ("–", "–", "–", "–", "0")
+    assert tuple(reloaded.row_of("far", 0.0, found).values())[2:7] == ("–", "–", "–", "–", "0")
 
 
 def test_a_map_of_another_world_is_refused(reloaded: Any, flown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,7 +122,7 @@ def test_the_same_flight_finds_its_own_map(reloaded: Any, flown: Any, capsys: py
 
 def test_the_beginning_of_a_recording(reloaded: Any, flown: Any) -> None:
     whole = open_recording(flown.folder, 1)
-    begun = reloaded.Beginning(whole, 1.0)
+    begun = reloaded.beginning(whole, 1.0)
     count, end_ns = len(begun.frame_times_ns), whole.frame_times_ns[0] + S
     assert 0 < count < len(whole.frame_times_ns) and whole.frame_times_ns[count] >= end_ns > begun.frame_times_ns[-1]
     assert begun.imu.t_ns[-1] < end_ns <= whole.imu.t_ns[len(begun.imu)]

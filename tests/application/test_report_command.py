@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from dronevio.cli import main
-from dronevio.eval.benchmark.rows import Row, write_rows
+from dronevio.eval.benchmark.rows import write_rows
+from tests.rows import row_of
 
 
 @pytest.fixture
@@ -16,9 +17,9 @@ def folder(tmp_path: Path) -> Path:
     folder.mkdir()
     made = ("a81c", "dronevio 1")
     rows = [
-        Row("room-v0", "room", 0, "vio", *made, "ok", ate_m=0.05, rpe_m=0.01, cpu_ms_mean=20.0),
-        Row("room-v0", "room", 1, "vio", *made, "crashed", "signal 11"),
-        Row("room-v0", "room", 0, "other", *made, "ok", ate_m=0.07, rpe_m=0.02, cpu_ms_mean=30.0),
+        row_of("room-v0", "room", 0, "vio", *made, "ok", ate_m=0.05, rpe_m=0.01, cpu_ms_mean=20.0),
+        row_of("room-v0", "room", 1, "vio", *made, "crashed", "signal 11"),
+        row_of("room-v0", "room", 0, "other", *made, "ok", ate_m=0.07, rpe_m=0.02, cpu_ms_mean=30.0),
     ]
     write_rows(folder / "results.parquet", rows)
     return folder

@@ -22,9 +22,13 @@ from dronevio.cli import main
 from dronevio.cli.commands.run import print_report
 from dronevio.cli.commands.view import viewer_program
 from dronevio.estimator.slam.files.map_file import read_map
+from dronevio.eval.metrics import score
+from dronevio.eval.provenance import RunInfo
+from dronevio.eval.report.model import ControlResult, EstimatorSummary, FlightSummary, RunReport, Timing
 from dronevio.models.recordings.euroc import EurocRecording
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rig_presets import rig_named
+from dronevio.models.state import Trajectory
 from dronevio.sim.cameras.gl import INSTALL_COMMAND
 from dronevio.sim.flight import fly
 from dronevio.sim.scenarios import scenario_named
@@ -103,10 +107,10 @@ def test_table_has_the_numbers_of_the_report(run: Result) -> None:
     scores, timing = report["scores"], report["timing"]
     shown = values_of_table(run.out)
     assert shown["length of the path"] == f"{report['flight']['path_m']:.1f}"
-    assert shown["ATE, yaw and position aligned"] == f"{scores['ate_m']['rmse']:.3f}"
-    assert shown["RPE over 1 s, position"] == f"{scores['rpe_m']['rmse']:.3f}"
-    assert shown["RPE over 1 s, orientation"] == f"{scores['rpe_deg']['rmse']:.2f}"
-    assert shown["scale error"] == f"{scores['scale_error_percent']:+.2f}"
+    assert shown["ATE, position"] == f"{scores['ate_m']['rmse']:.4f}"
+    assert shown["RPE over 1 s, position"] == f"{scores['rpe_m']['rmse']:.4f}"
+    assert shown["RPE over 1 s, orientation"] == f"{scores['rpe_deg']['rmse']:.3f}"
+    assert shown["scale error"] == f"{scores['scale_error_percent']:+.2f}".replace("-", "−")
     assert shown["coverage"] == f"{scores['coverage_percent']:.1f}"
     innovations = report["estimator"]["innovations"]
     assert shown["innovation, median over frames"] == f"{innovations['median_px']:.2f}"
@@ -120,16 +124,22 @@ def test_table_has_the_numbers_of_the_report(run: Result) -> None:
 
 
 def test_unknown_values_are_dashes(capsys: pytest.CaptureFixture[str]) -> None:
-    short = {"ate_m": {"rmse": 0.25}, "rpe_m": None, "rpe_deg": None, "scale_error_percent": None}
-    timing = {"cpu_ms_mean": 4.0, "cpu_ms_p99": 9.0, "real_time_factor": None}
-    flight = {"path_m": 12.3}
-    scores = {**short, "coverage_percent": None, "path_m": 11.1}
-    control = {"flown_on": "truth", "reference_rmse_m": None}
-    report = {"flight": flight, "scores": scores, "timing": timing, "control": control, "policy": None}
-    report |= {"estimator": {"innovations": None}, "map": None}
+    p = np.outer(np.arange(3.0), [1.0, 0.0, 0.0])
+    truth = Trajectory(10**8 * np.arange(3), p, np.tile([1.0, 0, 0, 0], (3, 1)))
+    report = RunReport(
+        RunInfo("title", "dronevio run", "dronevio view"),
+        FlightSummary("short", 0.2, 3, 12.34, None, None),
+        score(truth, replace(truth, p_world_imu=p + [[0, 0, 0], [0, 0, 0], [0.1, 0, 0]])),
+        Timing(4.0, 9.0, 5.0, 10.0),
+        ControlResult("truth", None, None, None),
+        policy=None,
+        estimator=EstimatorSummary(3, 0.0, None, 0, {}, None, ()),
+        map=None,
+        defects={},
+    )
     print_report("A run too short for a relative error", report)
     shown = values_of_table(capsys.readouterr().out)
-    assert list(shown.values()) == ["12.3", "0.250", "–", "–", "–", "–", "–", "–", "–", "–", "4.0", "9.0", "–", "–"]
+    assert list(shown.values()) == ["12.3", "0.0471", "–", "–", "–", "–", "–", "–", "–", "–", "4.0", "9.0", "–", "–"]
 
 
 def test_json_is_the_report(another_run: Result) -> None:

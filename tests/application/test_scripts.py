@@ -24,9 +24,7 @@ def fixture_of(name: str) -> Callable[[Callable[[str], Any]], Any]:
     return pytest.fixture(scope="module", name=name)(load)
 
 
-markdown_tables, corrupted_tracks, profiler, seeds = map(
-    fixture_of, ("markdown_tables", "corrupted_tracks", "profiler", "seeds")
-)
+measuring, corrupted_tracks, profiler, seeds = map(fixture_of, ("measuring", "corrupted_tracks", "profiler", "seeds"))
 
 
 gym_speed, physics_rates = map(fixture_of, ("gym_speed", "physics_rates"))
@@ -51,10 +49,10 @@ def test_errors_of_the_physics_shrink_with_the_step(physics_rates: Any) -> None:
 
 
 @given(st.lists(st.integers(0, 30), min_size=1, max_size=6))
-def test_numbers_are_lists_and_ranges(markdown_tables: Any, numbers: list[int]) -> None:
-    assert markdown_tables.numbers(",".join(map(str, numbers))) == tuple(dict.fromkeys(numbers))
+def test_numbers_are_lists_and_ranges(measuring: Any, numbers: list[int]) -> None:
+    assert measuring.numbers(",".join(map(str, numbers))) == tuple(dict.fromkeys(numbers))
     first, last = min(numbers), max(numbers)
-    assert markdown_tables.numbers(f"{first}-{last}") == tuple(range(first, last + 1))
+    assert measuring.numbers(f"{first}-{last}") == tuple(range(first, last + 1))
 
 
 class StaticFrontEnd:

@@ -9,8 +9,8 @@ import pytest
 from dronevio.cli.commands.benchmark import print_benchmark
 from dronevio.cli.options import Output, OutputOptions, RecordingInput, RecordingOptions
 from dronevio.cli.terminal import parse, print_table, print_values
-from dronevio.eval.benchmark.rows import Row
 from dronevio.models.errors import ConfigError
+from tests.rows import row_of
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def test_lines_outside_of_a_terminal_are_whole(
 
 def test_benchmark_table_has_one_line_per_estimator(capsys: pytest.CaptureFixture[str]) -> None:
     rows = [
-        Row("short-v0", "room", seed, "vio", "a", "b", "ok", ate_m=0.1 * seed, rpe_m=0.2, cpu_ms_mean=9.0)
+        row_of("short-v0", "room", seed, "vio", "a", "b", "ok", ate_m=0.1 * seed, rpe_m=0.2, cpu_ms_mean=9.0)
         for seed in range(1, 4)
     ]
     print_benchmark(rows)

@@ -65,7 +65,7 @@ def test_errors_count_only_while_tracking(wrong_inputs: Any, flown: Result) -> N
     section = wrong_inputs.section_of(recording, 60)
     truth = recording.ground_truth
     assert truth is not None and section.ground_truth is None and len(section.frame_times_ns) == 60
-    run = wrong_inputs.estimate_recording(section, wrong_inputs.VisualInertialOdometry(section.rig))
+    run = wrong_inputs.odometry(section)
     assert wrong_inputs.late_notice_s(run, truth) is None
     shifted = [
         replace(e, state=e.state and replace(e.state, T_world_imu=e.state.T_world_imu + 0.4 * np.eye(4, k=3)))

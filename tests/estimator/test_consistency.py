@@ -18,7 +18,6 @@ from scipy.stats import chi2
 
 from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimator.backend.landmarks import LandmarkConfig
-from dronevio.estimator.backend.linalg import CholeskyFactor
 from dronevio.estimator.backend.smoother import KeyframeSmoother
 from dronevio.estimator.baselines.dead_reckoning import DeadReckoning, DeadReckoningConfig
 from dronevio.estimator.config import VioConfig
@@ -28,6 +27,7 @@ from dronevio.estimator.imu.covariance import covariance_from_gtsam
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.initialization.gauge import LastPublished
 from dronevio.estimator.initialization.static import InitialSigmas
+from dronevio.estimator.optimization.linalg import CholeskyFactor
 from dronevio.estimator.propagator import ImuPropagation
 from dronevio.estimator.types import GAUGE_SIGMA, NO_FEATURES, Calibration
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples

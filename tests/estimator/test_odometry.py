@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.marginal_prior import MarginalPrior
-from dronevio.estimator.backend.window import Window
+from dronevio.estimator.backend.marginalization import PendingMarginalization
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.noise import ImuNoiseEstimator
 from dronevio.estimator.monitoring.causes import Cause
@@ -172,13 +172,13 @@ def test_keyframes_leave_the_marginal_prior_to_the_next_frame(
     """A keyframe takes most of the time already."""
     flight, computed = make_flight(1, rest_s=IN_MOTION, duration_s=6.0), list[int]()
     vio, estimates = VisualInertialOdometry(flight.rig, front_end=flight.front_end()), list[Estimate]()
-    marginal_prior = Window._marginal_prior
+    marginal_prior = PendingMarginalization.prior
 
     def recorded(*arguments: Any) -> MarginalPrior:
         computed.append(len(estimates))
         return marginal_prior(*arguments)
 
-    monkeypatch.setattr(Window, "_marginal_prior", recorded)
+    monkeypatch.setattr(PendingMarginalization, "prior", recorded)
     for measurement in measurements(flight):
         if isinstance(measurement, ImuSamples):
             vio.add_imu(measurement)

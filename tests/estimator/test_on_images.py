@@ -20,7 +20,7 @@ from dronevio.eval.run import EstimatorRun
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
-from dronevio.models.recordings.euroc import EurocRecording, read_euroc_frame_times, write_euroc
+from dronevio.models.recordings.euroc import EurocRecording, read_euroc_segment_times, write_euroc
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import pose_matrix
@@ -91,7 +91,7 @@ def test_json_summary_describes_the_trajectory(rendered: RenderedFlight, estimat
 
 def test_trajectory_agrees_with_the_truth(rendered: RenderedFlight, estimated: tuple[str, Path]) -> None:
     trajectory = read_tum(estimated[1])
-    times = read_euroc_frame_times(rendered.folder)
+    times = read_euroc_segment_times(rendered.folder)[0]
     np.testing.assert_array_equal(trajectory.t_ns, times[-len(trajectory) :])  # every frame since the initialization
     truth = rendered.truth[np.searchsorted(rendered.truth.t_ns, trajectory.t_ns)]
     fit = align(truth.p_world_imu, trajectory.p_world_imu, "yaw")
@@ -226,7 +226,7 @@ def on_the_ground(data_folder: Path) -> tuple[EstimatorRun, RealFrames]:
     """Return the estimates for 95 frames, 4.7 s, of a drone that stands on the ground and moves by 3 mm."""
     folder, flight = data_folder / "euroc" / "V1_01_on_the_ground", read_feature_recording()
     assert "458.654" in (folder / "cam0" / "sensor.yaml").read_text(encoding="utf-8")  # fx of that rig's camera
-    times = read_euroc_frame_times(folder)
+    times = read_euroc_segment_times(folder)[0]
     recording = RealFrames(folder, flight.rig, flight.imu.up_to(int(times[-1]) + 10_000_000), times)
     return estimate_recording(recording, VisualInertialOdometry(recording.rig)), recording
 

@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,15 +23,16 @@ from pyarrow import parquet
 from dronevio.eval.benchmark.cache import RecordingCache, code_hash, content_hash, recording_hash
 from dronevio.eval.benchmark.cache_limit import limit_bytes
 from dronevio.eval.benchmark.engines import JobEnd, JobEvent, LocalEngine
-from dronevio.eval.benchmark.isolation import Outcome, call_in_process
+from dronevio.eval.benchmark.isolation import Outcome, Status, call_in_process
 from dronevio.eval.benchmark.jobs import Job, RecordingSpec
-from dronevio.eval.benchmark.rows import RESULTS_FILE, Row, Status, read_results, read_rows, schema, write_rows
+from dronevio.eval.benchmark.rows import RESULTS_FILE, read_results, read_rows, schema, write_rows
 from dronevio.eval.benchmark.runner import BenchmarkPlan, run_benchmark
 from dronevio.eval.benchmark.store import ResultStore
 from dronevio.eval.benchmark.summary import Quartiles, failed_runs, quartiles_of_errors, run_groups
 from dronevio.models.errors import ConfigError, InputError
+from tests.rows import changed, row_of
 
-OK = Row(
+OK = row_of(
     "room-v0",
     "room",
     3,
@@ -46,7 +47,7 @@ OK = Row(
     wall_s=2.0,
     recording_hash="hash",
 )
-CRASHED = Row("room-v0", "room", None, "a=b c", "config", "versions", "crashed", "killed by SIGSEGV", wall_s=1.0)
+CRASHED = row_of("room-v0", "room", None, "a=b c", "config", "versions", "crashed", "killed by SIGSEGV", wall_s=1.0)
 
 
 # --- processes
@@ -135,7 +136,7 @@ def test_rows_are_read_as_they_were_written(tmp_path: Path) -> None:
     assert read_rows(tmp_path) == (OK, CRASHED)
     assert read_rows(tmp_path / RESULTS_FILE) == read_results(tmp_path) == (OK, CRASHED)
     table = parquet.read_table(tmp_path / RESULTS_FILE)
-    assert table.column_names == [field.name for field in fields(Row)] == schema().names
+    assert table.column_names == list(OK.columns) == schema().names
     assert table.column("ate_m").null_count == 1
     assert [entry.name for entry in tmp_path.iterdir()] == [RESULTS_FILE]
 
@@ -153,7 +154,7 @@ def test_files_that_are_no_results_are_refused(tmp_path: Path) -> None:
     write_rows(path, [OK, OK])
     with pytest.raises(InputError, match="two rows of room-v0, seed 3, vio"):
         read_rows(path)
-    write_rows(path, [replace(OK, status="fine")])  # type: ignore[arg-type]
+    write_rows(path, [changed(OK, status="fine")])
     with pytest.raises(InputError, match="row 1 with status 'fine'"):
         read_rows(path)
     write_rows(path, [OK])
@@ -168,11 +169,11 @@ def test_a_store_keeps_the_latest_row_and_ignores_damaged_files(tmp_path: Path) 
     store = ResultStore(tmp_path / "new" / "bench")
     store.add(OK)
     store.add(CRASHED)
-    store.add(replace(OK, ate_m=0.2))
+    store.add(changed(OK, ate_m=0.2))
     (store.folder / "runs" / "half.parquet").write_bytes(b"PAR1")
     again = ResultStore(store.folder)
-    assert again.find(OK.identity) == replace(OK, ate_m=0.2)
-    assert again.rows == (CRASHED, replace(OK, ate_m=0.2))
+    assert again.find(OK.identity) == changed(OK, ate_m=0.2)
+    assert again.rows == (CRASHED, changed(OK, ate_m=0.2))
     assert read_rows(again.write_table()) == again.rows
 
 
@@ -391,7 +392,7 @@ class FakeEngine:
                 if self.runs == self.stop_after:
                     raise KeyboardInterrupt
                 self.runs += 1
-                row = Row(
+                row = row_of(
                     job.spec.scenario,
                     "room",
                     job.spec.seed,
@@ -511,11 +512,11 @@ def test_the_local_engine_reports_exceptions_of_jobs_as_crashes(tmp_path: Path) 
 
 
 def test_failed_runs_rank_last_in_the_quartiles() -> None:
-    rows = [replace(OK, seed=seed, ate_m=0.1 * (seed + 1)) for seed in range(4)]
+    rows = [changed(OK, seed=seed, ate_m=0.1 * (seed + 1)) for seed in range(4)]
     quartiles = quartiles_of_errors(rows, "ate_m")
     assert quartiles is not None
     assert quartiles.median == pytest.approx(0.25)
-    failed = [*rows[:2], replace(CRASHED, seed=8), replace(CRASHED, seed=9)]
+    failed = [*rows[:2], changed(CRASHED, seed=8), changed(CRASHED, seed=9)]
     found = quartiles_of_errors(failed, "ate_m")
     assert found is not None
     assert found.lower == pytest.approx(0.2)

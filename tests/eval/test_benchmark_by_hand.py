@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dronevio.eval.benchmark.isolation import Outcome
+from dronevio.eval.benchmark.isolation import Outcome, Status
 from dronevio.eval.benchmark.jobs import USAGE_FILE, Job, RecordingSpec, ResourceUsage
-from dronevio.eval.benchmark.rows import Row, Status
+from dronevio.eval.benchmark.rows import Row
 from dronevio.eval.benchmark.runner import BenchmarkPlan
 from dronevio.eval.benchmark.sizing import JobUsage
 from dronevio.eval.benchmark.store import ResultStore
 from dronevio.eval.benchmark.summary import Quartiles, quartiles_of_errors
+from tests.rows import row_of
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ def call_here(function: Callable[..., object], *arguments: object, **options: ob
 
 def run(estimator: str, status: Status = "ok", seed: int = 0, ate_m: float | None = None) -> Row:
     """Return a run of an estimator."""
-    return Row("s", "w", seed, estimator, "settings", "1", status, recording_hash="hash", ate_m=ate_m)
+    return row_of("s", "w", seed, estimator, "settings", "1", status, recording_hash="hash", ate_m=ate_m)
 
 
 def test_resources_scale_with_the_number_of_recordings() -> None:
@@ -80,7 +81,13 @@ def test_a_job_records_the_resources_of_recording_and_runs(tmp_path: Path, monke
     [row] = job.run()
     usage = ResourceUsage.read(tmp_path / "hash" / USAGE_FILE)
     assert (usage.cpu_s, usage.wall_s, usage.disk_mb) == pytest.approx((2.0, 1.0, 1.5e-3))
-    assert (row.identity, row.status, row.ate_m, row.wall_s, row.peak_mb) == (("s", 4, "vio"), "ok", 0.1, 1.0, 3.0)
+    assert (row.identity, row.status, row["ate_m"], row["wall_s"], row["peak_mb"]) == (
+        ("s", 4, "vio"),
+        "ok",
+        0.1,
+        1.0,
+        3.0,
+    )
 
 
 @pytest.mark.parametrize("keep", [True, False])

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from hypothesis import strategies as st
 from dronevio.eval.benchmark.rows import Row
 from dronevio.eval.compare import Ratio, compare, gate, metric_ratio, pair_runs
 from dronevio.models.errors import ConfigError, EvaluationError
+from tests.rows import changed, row_of
 
 FAILED = None
 
@@ -25,10 +25,12 @@ def rows(values: Sequence[float | None], estimator: str = "vio", **others: Any) 
     """Return a run for each error, with seeds from 0 on; None is the error of a failed run."""
     made = []
     for seed, value in enumerate(values):
-        row = Row("room-v0", "room", seed, estimator, "c", "v", "ok", ate_m=value, rpe_m=value, coverage_percent=100.0)
+        row = row_of(
+            "room-v0", "room", seed, estimator, "c", "v", "ok", ate_m=value, rpe_m=value, coverage_percent=100.0
+        )
         if value is FAILED:
-            row = Row("room-v0", "room", seed, estimator, "c", "v", "crashed", reason="killed by SIGSEGV")
-        made.append(replace(row, **others))
+            row = row_of("room-v0", "room", seed, estimator, "c", "v", "crashed", reason="killed by SIGSEGV")
+        made.append(changed(row, **others))
     return made
 
 
@@ -132,9 +134,9 @@ def test_the_geometric_mean_by_hand(second: list[float | None], expected: float)
 
 def test_a_missing_value_is_the_worst_unless_both_lack_it() -> None:
     first, second = rows([0.1, 0.1, 0.1]), rows([0.1, 0.1, 0.1])
-    second[0] = replace(second[0], rpe_m=None)
+    second[0] = changed(second[0], rpe_m=None)
     assert metric_ratio("rpe_m", pair_runs(first, second)).high == math.inf
-    first[0] = replace(first[0], rpe_m=None)
+    first[0] = changed(first[0], rpe_m=None)
     found = metric_ratio("rpe_m", pair_runs(first, second))
     assert (found.pairs, found.missing, found.median) == (2, 1, 1.0)
     with pytest.raises(EvaluationError, match="no run has a value of velocity_m_s"):

@@ -4,11 +4,12 @@ import pytest
 
 from dronevio.eval.benchmark.rows import Row
 from dronevio.eval.compare import Ratio, compare, gate, metric_ratio, pair_runs
+from tests.rows import row_of
 
 
 def run(seed: int, coverage_percent: float | None, ate_m: float = 0.1) -> Row:
     """Return a run with scores."""
-    return Row("s", "w", seed, "vio", "c", "v", "ok", coverage_percent=coverage_percent, ate_m=ate_m, rpe_m=ate_m)
+    return row_of("s", "w", seed, "vio", "c", "v", "ok", coverage_percent=coverage_percent, ate_m=ate_m, rpe_m=ate_m)
 
 
 def ratio_to_one_metre(errors_m: list[float]) -> Ratio:
@@ -20,7 +21,7 @@ def ratio_to_one_metre(errors_m: list[float]) -> Ratio:
 
 def failed(seed: int) -> Row:
     """Return a run without scores."""
-    return Row("s", "w", seed, "vio", "c", "v", "timeout", "no end after 9 s")
+    return row_of("s", "w", seed, "vio", "c", "v", "timeout", "no end after 9 s")
 
 
 def test_a_failed_run_has_zero_coverage() -> None:

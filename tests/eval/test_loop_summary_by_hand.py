@@ -1,6 +1,5 @@
 """What loops do to the accuracy, over runs: medians, ratios, worst differences, and the table."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import pyarrow as pa
@@ -8,26 +7,27 @@ import pytest
 from pyarrow import parquet
 
 from dronevio.eval.benchmark.loop_summary import Excess, LoopSummary, PathSummary
-from dronevio.eval.benchmark.rows import Row, read_rows, schema, write_rows
+from dronevio.eval.benchmark.rows import read_rows, schema, write_rows
 from dronevio.eval.report.benchmark.model import BenchmarkResults
 from dronevio.eval.report.benchmark.overview import loop_table
 from dronevio.eval.report.benchmark.page import benchmark_page
 from dronevio.eval.report.benchmark.tables import as_markdown
+from tests.rows import changed, row_of
 
-VIO = Row("room-v0", "room", 0, "vio", "c", "v", "ok", ate_m=0.05, rmse_after_revisit_m=0.04)
-SLAM = replace(
+VIO = row_of("room-v0", "room", 0, "vio", "c", "v", "ok", ate_m=0.05, rmse_after_revisit_m=0.04)
+SLAM = changed(
     VIO, estimator="slam", rmse_after_revisit_m=0.02, odometry_after_revisit_m=0.04, final_after_revisit_m=0.01,
     final_ate_m=0.012, loops=30, wrong_loops=0, recall_percent=80.0, first_revisit_s=12.5, map_results=40, map_waits=1,
 )  # fmt: skip
-WORSE = replace(
+WORSE = changed(
     SLAM, seed=1, rmse_after_revisit_m=0.021, odometry_after_revisit_m=0.03, final_after_revisit_m=0.009, loops=20,
     wrong_loops=1, recall_percent=60.0,
 )  # fmt: skip
-SMALL = replace(
+SMALL = changed(
     SLAM, seed=2, rmse_after_revisit_m=0.0125, odometry_after_revisit_m=0.01, final_after_revisit_m=0.0095, loops=0,
     recall_percent=None,
 )  # fmt: skip
-LOST = Row("room-v0", "room", 3, "slam", "c", "v", "crashed", "killed")
+LOST = row_of("room-v0", "room", 3, "slam", "c", "v", "crashed", "killed")
 
 
 def test_ratios_are_those_where_the_odometry_errs() -> None:
@@ -55,9 +55,9 @@ def test_the_worst_run_is_the_farthest_beyond_its_limit() -> None:
 
 
 def test_an_odometry_has_no_loops() -> None:
-    found = LoopSummary.of([VIO, replace(VIO, seed=1, rmse_after_revisit_m=0.01)])
+    found = LoopSummary.of([VIO, changed(VIO, seed=1, rmse_after_revisit_m=0.01)])
     assert found == LoopSummary(2, 1, 0.025, None, None, None, None, None, None)
-    assert LoopSummary.of([replace(VIO, rmse_after_revisit_m=None), LOST]) is None
+    assert LoopSummary.of([changed(VIO, rmse_after_revisit_m=None), LOST]) is None
 
 
 def test_the_table_of_loops_has_a_row_for_each_group() -> None:
@@ -83,9 +83,9 @@ def test_results_without_the_columns_of_loops_are_read(tmp_path: Path) -> None:
     write_rows(tmp_path / "results.parquet", [SLAM])
     assert read_rows(tmp_path) == (SLAM,)
     old = parquet.read_table(tmp_path / "results.parquet")
-    dropped = [name for name in vars(SLAM) if getattr(SLAM, name) != getattr(VIO, name) and name != "estimator"]
+    dropped = [name for name, value in SLAM.columns.items() if value != VIO.columns[name] and name != "estimator"]
     assert len(dropped) == 10
     parquet.write_table(old.drop_columns([*dropped, "worker_cpu_ms"]), tmp_path / "old.parquet")
     (row,) = read_rows(tmp_path / "old.parquet")
-    assert row == replace(VIO, estimator="slam", rmse_after_revisit_m=None)
+    assert row == changed(VIO, estimator="slam", rmse_after_revisit_m=None)
     assert schema().field("loops").type == pa.int64()

@@ -27,15 +27,9 @@ def test_a_map_of_true_poses_removes_the_drift(mapped: "SyntheticFlight") -> Non
 def test_values_are_the_size_of_the_map_and_the_scores(mapped: "SyntheticFlight") -> None:
     results = map_results(mapped.run, mapped.recording)
     assert results is not None and results.scored_online is not None
-    values = results.values
-    assert {name: values[name] for name in ("keyframes", "points", "loops", "rejected_loops")} == {
-        "keyframes": 12,
-        "points": 300,
-        "loops": 3,
-        "rejected_loops": 1,
-    }
-    online = values["online"]
-    assert isinstance(online, dict) and online["ate_m"]["rmse"] == results.scored_online.scores.ate_m.rmse
+    summary = results.summary
+    assert (summary.keyframes, summary.points, summary.loops, summary.rejected_loops) == (12, 300, 3, 1)
+    assert summary.online == results.scored_online.scores
 
 
 def test_online_poses_are_those_of_their_frames(mapped: "SyntheticFlight") -> None:
@@ -55,7 +49,7 @@ def test_without_a_map_there_are_no_results(flight: "SyntheticFlight") -> None:
 
 def test_without_truth_there_are_no_scores(mapped: "SyntheticFlight", flight_without_truth: "SyntheticFlight") -> None:
     results = map_results(mapped.run, flight_without_truth.recording)
-    assert results is not None and results.values["online"] is None and results.values["final"] is None
+    assert results is not None and results.summary.online is results.summary.final is None
 
 
 def test_correction_over_time_by_hand(flight: "SyntheticFlight") -> None:

@@ -1,7 +1,5 @@
 """Expected outcomes of flights with faults: error ratios, reported losses and overconfidence, worked out by hand."""
 
-from dataclasses import replace
-
 import pytest
 
 from dronevio.benchmark.expectations import EXPECTATIONS
@@ -11,24 +9,25 @@ from dronevio.eval.report.benchmark.model import BenchmarkResults
 from dronevio.eval.report.benchmark.page import benchmark_page
 from dronevio.eval.report.benchmark.tables import outcome_table
 from dronevio.sim.scenarios import SUITES
+from tests.rows import changed, row_of
 
-CLEAN = Row("clean", "room", 0, "vio", "c", "v", "ok", ate_m=0.01, longest_loss_s=0.0, tracking_sigmas=1.0)
-FAULTY = replace(CLEAN, scenario="faulty")
+CLEAN = row_of("clean", "room", 0, "vio", "c", "v", "ok", ate_m=0.01, longest_loss_s=0.0, tracking_sigmas=1.0)
+FAULTY = changed(CLEAN, scenario="faulty")
 EXPECTED = {"clean": Expectation("clean", 1.0), "faulty": Expectation("clean", 4.0, 3.0)}
 
 
 @pytest.mark.parametrize(
     ("faulty", "passed", "outcome"),
     [
-        (replace(FAULTY, ate_m=0.04), True, "error 4.0 ×"),
-        (replace(FAULTY, ate_m=0.0401), False, "error 4.0 ×"),
-        (replace(FAULTY, ate_m=0.5, longest_loss_s=3.0), True, "error 50.0 ×, loss of 3.0 s"),
-        (replace(FAULTY, ate_m=0.5, longest_loss_s=3.1), False, "error 50.0 ×, loss of 3.1 s"),
-        (replace(FAULTY, ate_m=0.5, longest_loss_s=None), False, "error 50.0 ×"),
-        (replace(FAULTY, ate_m=0.03, longest_loss_s=9.0), True, "error 3.0 ×, loss of 9.0 s"),
-        (replace(FAULTY, tracking_sigmas=MAX_SIGMAS), True, "error 1.0 ×"),
-        (replace(FAULTY, tracking_sigmas=5.06), False, "error 1.0 ×, error of 5.1 σ while tracking"),
-        (replace(FAULTY, status="crashed", reason="killed", ate_m=None), False, "crashed, killed"),
+        (changed(FAULTY, ate_m=0.04), True, "error 4.0 ×"),
+        (changed(FAULTY, ate_m=0.0401), False, "error 4.0 ×"),
+        (changed(FAULTY, ate_m=0.5, longest_loss_s=3.0), True, "error 50.0 ×, loss of 3.0 s"),
+        (changed(FAULTY, ate_m=0.5, longest_loss_s=3.1), False, "error 50.0 ×, loss of 3.1 s"),
+        (changed(FAULTY, ate_m=0.5, longest_loss_s=None), False, "error 50.0 ×"),
+        (changed(FAULTY, ate_m=0.03, longest_loss_s=9.0), True, "error 3.0 ×, loss of 9.0 s"),
+        (changed(FAULTY, tracking_sigmas=MAX_SIGMAS), True, "error 1.0 ×"),
+        (changed(FAULTY, tracking_sigmas=5.06), False, "error 1.0 ×, error of 5.1 σ while tracking"),
+        (changed(FAULTY, status="crashed", reason="killed", ate_m=None), False, "crashed, killed"),
     ],
 )
 def test_verdicts_on_errors_and_losses(faulty: Row, passed: bool, outcome: str) -> None:
@@ -41,8 +40,8 @@ def test_verdicts_on_errors_and_losses(faulty: Row, passed: bool, outcome: str) 
 
 def test_a_failed_reference_gives_no_error_ratio() -> None:
     """Without the error of the flight without the fault, only a reported loss can pass."""
-    lost = replace(FAULTY, longest_loss_s=1.0)
-    for others in ([], [replace(CLEAN, status="failed", ate_m=None)], [replace(CLEAN, seed=1)]):
+    lost = changed(FAULTY, longest_loss_s=1.0)
+    for others in ([], [changed(CLEAN, status="failed", ate_m=None)], [changed(CLEAN, seed=1)]):
         assert [v.passed for v in verdicts([*others, FAULTY], EXPECTED)][-1] is False
         assert [v.passed for v in verdicts([*others, lost], EXPECTED)][-1] is True
         assert verdicts([*others, FAULTY], EXPECTED)[-1].error_ratio is None
@@ -50,8 +49,8 @@ def test_a_failed_reference_gives_no_error_ratio() -> None:
 
 def test_runs_without_faults_or_expectations_are_not_judged() -> None:
     """Benchmarks of other scenarios, or of the flight without faults alone, have no expected outcomes."""
-    assert verdicts([CLEAN, replace(CLEAN, scenario="other")], EXPECTED) == ()
-    assert [v.row.scenario for v in verdicts([CLEAN, FAULTY, replace(CLEAN, scenario="other")], EXPECTED)] == [
+    assert verdicts([CLEAN, changed(CLEAN, scenario="other")], EXPECTED) == ()
+    assert [v.row.scenario for v in verdicts([CLEAN, FAULTY, changed(CLEAN, scenario="other")], EXPECTED)] == [
         "clean",
         "faulty",
     ]
@@ -68,8 +67,8 @@ def test_every_scenario_of_the_stress_suite_has_an_expectation() -> None:
 
 def test_the_page_shows_what_is_not_as_expected() -> None:
     """The table has a row for each flight with what was expected, and the page states how many runs pass."""
-    bad = replace(FAULTY, estimator="other", ate_m=0.5)
-    results = BenchmarkResults("b", (CLEAN, FAULTY, replace(CLEAN, estimator="other"), bad), EXPECTED)
+    bad = changed(FAULTY, estimator="other", ate_m=0.5)
+    results = BenchmarkResults("b", (CLEAN, FAULTY, changed(CLEAN, estimator="other"), bad), EXPECTED)
     table = outcome_table(results)
     assert [row[0].text for row in table.rows] == ["clean", "faulty"]
     other, ours = table.rows[1][3:]

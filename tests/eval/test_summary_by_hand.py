@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dronevio.eval.benchmark.rows import Row
 from dronevio.eval.benchmark.summary import AverageNees, all_runs
 from dronevio.eval.metrics import nees_bounds
 from dronevio.eval.report.benchmark.model import BenchmarkResults
@@ -13,16 +12,17 @@ from dronevio.eval.report.benchmark.overview import consistency_table, start_tab
 from dronevio.eval.report.benchmark.page import benchmark_page
 from dronevio.eval.report.benchmark.tables import as_markdown, loss_table, run_table
 from dronevio.eval.report.tables import Table
+from tests.rows import changed, row_of
 
-RUN = Row(
+RUN = row_of(
     "room-v0", "room", 0, "vio", "c", "v", "ok", coverage_percent=100.0, path_m=20.0, ate_m=0.02, rpe_m=0.01,
     scale_error_percent=-0.5, nees_position=2.0, nees_orientation=4.0, cpu_ms_mean=9.0, cpu_ms_p99=20.0, start_s=1.5,
     start_acceleration_m_s2=0.8, start_velocity_error_m_s=0.02, start_speed_m_s=0.3, start_scale_error_percent=-3.0,
 )  # fmt: skip
-DRIFTED = replace(RUN, seed=1, ate_m=0.3, nees_position=6.0, nees_velocity=5.0, start_s=2.5, start_speed_m_s=None)
-LOST = Row("room-v0", "room", 2, "vio", "c", "v", "crashed", "killed")
-HALL = replace(RUN, scenario="hall-v0")
-VARIANTS = tuple(replace(RUN, scenario=f"{name}+imu-100hz") for name in ("room-v0", "hall-v0"))
+DRIFTED = changed(RUN, seed=1, ate_m=0.3, nees_position=6.0, nees_velocity=5.0, start_s=2.5, start_speed_m_s=None)
+LOST = row_of("room-v0", "room", 2, "vio", "c", "v", "crashed", "killed")
+HALL = changed(RUN, scenario="hall-v0")
+VARIANTS = tuple(changed(RUN, scenario=f"{name}+imu-100hz") for name in ("room-v0", "hall-v0"))
 
 
 def cells(table: Table, row: int = 0) -> dict[str, str]:
@@ -33,7 +33,7 @@ def cells(table: Table, row: int = 0) -> dict[str, str]:
 def test_anees_is_the_mean_over_the_runs_with_scores() -> None:
     found = AverageNees.of([RUN, DRIFTED, LOST])
     assert found == AverageNees(2, 4.0, 4.0, 5.0, nees_bounds(3, 2))
-    assert AverageNees.of([LOST, replace(RUN, nees_position=None)]) is None
+    assert AverageNees.of([LOST, changed(RUN, nees_position=None)]) is None
 
 
 @pytest.mark.parametrize("factor", [0.4, 1.0, 2.5])
@@ -41,7 +41,7 @@ def test_bounds_of_anees_have_a_probability_of_95_percent(factor: float) -> None
     rng = np.random.default_rng(3)
     inside = 0
     for _ in range(200):
-        rows = [replace(RUN, nees_position=float(value)) for value in factor * rng.chisquare(3, 36)]
+        rows = [changed(RUN, nees_position=float(value)) for value in factor * rng.chisquare(3, 36)]
         found = AverageNees.of(rows)
         assert found is not None and found.position is not None
         inside += found.bounds[0] <= found.position <= found.bounds[1]
@@ -70,21 +70,21 @@ def test_the_summary_counts_failed_and_diverged_runs() -> None:
 
 def test_the_summary_has_the_worst_loss_and_error_while_tracking() -> None:
     """An error of more than five standard deviations that is reported as tracking is marked."""
-    lossy = replace(RUN, longest_loss_s=1.25, tracking_sigmas=2.0)
-    wrong = replace(DRIFTED, longest_loss_s=0.5, tracking_sigmas=5.1)
+    lossy = changed(RUN, longest_loss_s=1.25, tracking_sigmas=2.0)
+    wrong = changed(DRIFTED, longest_loss_s=0.5, tracking_sigmas=5.1)
     row = cells(summary_table(BenchmarkResults("x", (lossy, wrong, LOST))))
     assert (row["longest loss [s]"], row["largest error while tracking [σ]"]) == ("1.25", "5.1")
-    for run, warning in ((wrong, "too large"), (replace(wrong, tracking_sigmas=5.0), "")):
+    for run, warning in ((wrong, "too large"), (changed(wrong, tracking_sigmas=5.0), "")):
         table = summary_table(BenchmarkResults("x", (lossy, run)))
         assert table.rows[0][table.columns.index("largest error while tracking [σ]")].warning == warning
 
 
 def test_the_table_of_losses_has_runs_that_left_tracking() -> None:
-    tracked = replace(RUN, longest_loss_s=0.0, tracking_sigmas=5.0)
-    lossy = replace(RUN, seed=1, longest_loss_s=0.15, tracking_sigmas=2.0, coverage_percent=99.5)
-    wrong = replace(RUN, seed=2, longest_loss_s=0.0, tracking_sigmas=5.06)
-    drifted = replace(DRIFTED, seed=3)
-    table = loss_table(BenchmarkResults("x", (RUN, tracked, lossy, wrong, drifted, replace(LOST, seed=4))))
+    tracked = changed(RUN, longest_loss_s=0.0, tracking_sigmas=5.0)
+    lossy = changed(RUN, seed=1, longest_loss_s=0.15, tracking_sigmas=2.0, coverage_percent=99.5)
+    wrong = changed(RUN, seed=2, longest_loss_s=0.0, tracking_sigmas=5.06)
+    drifted = changed(DRIFTED, seed=3)
+    table = loss_table(BenchmarkResults("x", (RUN, tracked, lossy, wrong, drifted, changed(LOST, seed=4))))
     assert [row[1].text for row in table.rows] == ["1", "2", "3", "4"]
     assert [row[3].warning for row in table.rows] == ["", "", "diverged", "crashed"]
     row = cells(table)

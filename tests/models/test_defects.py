@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from dronevio.models.defects import DefectKind, count_defects, defect_values, defects_text, refuse_defects
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuSamples, Times
-from dronevio.models.recordings.euroc import EurocRecording, read_euroc_frame_times, write_euroc_recording
+from dronevio.models.recordings.euroc import EurocRecording, read_euroc_segment_times, write_euroc_recording
 from dronevio.models.recordings.frame_groups import ABSENT, grouped_frames
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.repair import IMAGE_STAMPS, increasing_rows, unpaired_images
@@ -131,7 +131,9 @@ def test_a_defect_is_counted_and_survived(folder: Path, kind: DefectKind) -> Non
     absent = kind in (DefectKind.MISSING_IMAGE, DefectKind.DAMAGED_IMAGE, DefectKind.UNPAIRED_IMAGE)
     assert sum(image.size == 0 for frame in read for image in frame.images) == absent
     assert np.all(np.diff(recording.frame_times_ns) > 0)
-    np.testing.assert_array_equal(read_euroc_frame_times(folder), EurocRecording.open(folder, 1, True).frame_times_ns)
+    np.testing.assert_array_equal(
+        read_euroc_segment_times(folder)[0], EurocRecording.open(folder, 1, True).frame_times_ns
+    )
 
 
 @pytest.mark.parametrize("kind", [*DEFECTS][:8])

@@ -20,7 +20,7 @@ from dronevio.models.protocols import Recording
 from dronevio.models.recordings.euroc import (
     INCOMPLETE,
     EurocRecording,
-    read_euroc_frame_times,
+    read_euroc_segment_times,
     read_groundtruth,
     write_euroc,
     write_euroc_recording,
@@ -225,7 +225,7 @@ def test_mav0_itself_is_accepted(flight: Path) -> None:
     assert recording.name == "hall-3"
     assert recording.ground_truth is None
     np.testing.assert_array_equal(recording.rig.T_vehicle_imu, np.eye(4))
-    np.testing.assert_array_equal(read_euroc_frame_times(flight), recording.frame_times_ns)
+    np.testing.assert_array_equal(read_euroc_segment_times(flight)[0], recording.frame_times_ns)
 
 
 def test_frames_need_an_image_of_every_camera(tmp_path: Path) -> None:
@@ -379,7 +379,7 @@ def test_the_real_data_set_is_read(data_folder: Path) -> None:
     assert len(truth) == 16702
     assert truth.length_m == pytest.approx(75.8913, abs=1e-3)
     camera = data_folder / "euroc" / "V1_01_on_the_ground"
-    assert len(read_euroc_frame_times(camera)) == 95
+    assert len(read_euroc_segment_times(camera)[0]) == 95
 
 
 def test_a_tum_file_beside_the_folder_is_the_ground_truth(

@@ -14,7 +14,6 @@ from dronevio.models.rig_presets import TUM_VI_CAMERA, rig_named
 from dronevio.sim.appearance.scenery import reduced_image
 from dronevio.sim.envs.sensing.camera_observation import (
     ImageSettings,
-    NoCameraObservation,
     RenderedObservation,
     texture_reduction,
 )
@@ -177,9 +176,3 @@ def test_reduced_textures_show_the_same() -> None:
 def test_invalid_settings_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         ImageSettings(**settings)
-
-
-def test_no_camera_has_no_images() -> None:
-    observation = NoCameraObservation()
-    assert observation.spaces() == observation.observe(poses(0.0)) == {}
-    observation.close()

@@ -82,15 +82,15 @@ def test_yaw_rates_turn_the_heading(mode: str) -> None:
 
 
 def test_actions_take_effect_after_the_latency() -> None:
-    delayed = DelayedActions(3, 4, 0.005)
-    delayed.reset(np.ones(3, np.bool_), np.array([0.0, 0.01, 0.03]))
+    delayed = DelayedActions.none(3, 4, 0.005)
+    delayed = delayed.restarted(np.ones(3, np.bool_), np.array([0.0, 0.01, 0.03]))
     for value in (1.0, 2.0, 3.0):
-        delayed.push(np.full((3, 4), value))
+        delayed = delayed.pushed(np.full((3, 4), value))
     seen = np.array([delayed.at(interval)[:, 0] for interval in range(4)])
     np.testing.assert_array_equal(seen[:, 0], [3.0, 3.0, 3.0, 3.0])
     np.testing.assert_array_equal(seen[:, 1], [2.0, 2.0, 3.0, 3.0])
     np.testing.assert_array_equal(seen[:, 2], [1.0, 1.0, 2.0, 2.0])
-    delayed.reset(np.array([True, False, False]), np.full(3, 0.02))
+    delayed = delayed.restarted(np.array([True, False, False]), np.full(3, 0.02))
     assert delayed.at(0).tolist() == [[0.0] * 4, [2.0] * 4, [1.0] * 4]
 
 

@@ -121,7 +121,7 @@ def test_the_policy_sees_the_estimate_and_the_critic_the_truth() -> None:
     goal = area.pad + [0.0, 0.0, 0.5 * info["t_ns"] * 1e-9]
     # worked out from the script: yaw and position of the first state are those of the pad
     turn = exp_so3(np.array([0.02, -0.01, 0.0]))
-    since_s = info["t_ns"] * 1e-9 + env._core._begun_ns[0] * 1e-9 - 0.3
+    since_s = info["t_ns"] * 1e-9 + env._core._episode.begun_ns[0] * 1e-9 - 0.3
     expected_R = rotation_z(0.0) @ turn
     np.testing.assert_allclose(matrix_from_quat_wxyz(estimate["quat_wxyz"]), expected_R, atol=2e-4)
     velocity = rotation_z(-2.0) @ VELOCITY
@@ -130,7 +130,7 @@ def test_the_policy_sees_the_estimate_and_the_critic_the_truth() -> None:
     at_centre = velocity - expected_R @ np.cross(rate, env.settings.rig.T_vehicle_imu[:3, 3])
     np.testing.assert_allclose(seen["velocity"], at_centre, atol=2e-4)
     lever = (expected_R - np.eye(3)) @ env.settings.rig.T_vehicle_imu[:3, 3]
-    placed_s = since_s - (env._core._begun_ns[0] * 1e-9 - 0.3)  # the frame is placed at the first state
+    placed_s = since_s - (env._core._episode.begun_ns[0] * 1e-9 - 0.3)  # the frame is placed at the first state
     at = area.pad + [0.0, 0.0, standing] - lever + placed_s * velocity
     np.testing.assert_allclose(estimate["position_m"], at, atol=1e-4)
     np.testing.assert_allclose(seen["position"], at - goal, atol=1e-4)
@@ -439,7 +439,7 @@ def test_single_and_vector_environments_keep_the_worst_touchdown(descent_m_s: fl
         if ended:
             break
     assert velocity == -0.2 and core.states.position_m[0, 2] < place[2] - 0.79  # it stands after the hop
-    for goals in (core._goals, vector._core._goals):
+    for goals in (core._episode.goals, vector._core._episode.goals):
         np.testing.assert_allclose(goals.impact_m_s, descent_m_s, atol=0.1)
     assert ended == info["success"] == softly
     vector.close()

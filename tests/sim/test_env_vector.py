@@ -174,6 +174,22 @@ def test_a_saved_vector_can_be_restored() -> None:
     assert data_equivalence(envs.step(actions[0]), other.step(actions[0]), exact=True)
 
 
+def test_a_reset_of_one_environment_leaves_the_inner_loops_of_the_others() -> None:
+    flights = []
+    for mask in (None, np.array([True, False])):
+        envs = DroneVectorEnv(2, "waypoints", action="velocity", autoreset_mode="DISABLED", observations=STATE)
+        envs.reset(seed=0)
+        actions = np.random.default_rng(0).uniform(-0.5, 0.5, (12, 2, 4)).astype(np.float32)
+        for action in actions[:6]:
+            envs.step(action)
+        if mask is not None:
+            envs.reset(options={"reset_mask": mask})
+        flights.append([envs.step(action)[0]["velocity"] for action in actions[6:]])
+    undisturbed, reset = np.array(flights)
+    np.testing.assert_array_equal(undisturbed[:, 1], reset[:, 1])
+    assert np.abs(undisturbed[:, 0] - reset[:, 0]).min() > 1e-3
+
+
 # --- autoreset
 
 

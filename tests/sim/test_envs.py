@@ -165,16 +165,15 @@ def test_a_pickled_environment_continues_identically(mode: str) -> None:
 
 
 def test_a_saved_state_can_be_restored() -> None:
-    env = DroneEnv("track", randomization=MODERATE, observations=("goals", "imu"))
+    env, other = (DroneEnv("track", randomization=MODERATE, observations=("goals", "imu")) for _ in range(2))
     rollout(env, 0)
     saved = env.save_state()
+    observation = other.restore_state(saved)
     actions = np.random.default_rng(1).uniform(-0.1, 0.1, (5, 4))
     first = [env.step(action) for action in actions]
     env.reset(seed=9)
-    env.restore_state(saved)
+    assert same(observation, env.restore_state(saved))  # the steps have not changed the saved state
     assert same(first, [env.step(action) for action in actions])
-    other = DroneEnv("track", randomization=MODERATE, observations=("goals", "imu"))
-    other.restore_state(saved)
     assert same(first, [other.step(action) for action in actions])
 
 

@@ -8,8 +8,8 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from dronevio.models.rotation import exp_so3
-from dronevio.sim.envs.episodes.randomization import Draws
-from dronevio.sim.envs.sensing.held_images import HeldImages
+from dronevio.sim.envs.episodes.randomization import RandomizedParameters
+from dronevio.sim.envs.sensing.held_images import ImageRenderer
 
 Array = npt.NDArray[np.float64]
 EVERY = np.ones(3, np.bool_)
@@ -38,63 +38,67 @@ class CountingSource:
         self.closed = True
 
 
-def held(period: int) -> tuple[HeldImages, list[CountingSource]]:
-    sources: list[CountingSource] = []
+class Shown:
+    """Images of three environments, step by step."""
 
-    def source(seed: int) -> CountingSource:
-        sources.append(CountingSource(seed))
-        return sources[-1]
+    def __init__(self, period: int) -> None:
+        self.sources: list[CountingSource] = []
+        self.renderer = ImageRenderer(period, self.source, 0)
+        self.images = self.renderer.start(3)
 
-    return HeldImages(3, period, source, 0), sources
+    def source(self, seed: int) -> CountingSource:
+        self.sources.append(CountingSource(seed))
+        return self.sources[-1]
 
+    def seen(self, draws: RandomizedParameters) -> list[int]:
+        """Return the grey levels of the images of three environments."""
+        poses = np.tile(np.eye(4), (3, 1, 1))
+        self.images = self.renderer.renewed(self.images, poses, np.zeros(3, np.int64), draws)
+        levels: list[int] = self.images.images["grey"][:, 0, 0, 0].tolist()
+        return levels
 
-def seen(images: HeldImages, draws: Draws) -> list[int]:
-    """Return the grey levels of the images of three environments."""
-    poses = np.tile(np.eye(4), (3, 1, 1))
-    levels: list[int] = images.observe(poses, np.zeros(3, np.int64), draws)["grey"][:, 0, 0, 0].tolist()
-    return levels
+    def step(self) -> None:
+        self.images = self.images.one_step_later()
 
 
 def test_images_are_repeated_until_the_next_is_due() -> None:
-    images, sources = held(2)
-    draws = Draws.nominal(3, 0)
-    assert seen(images, draws) == seen(images, draws) == [101] * 3
-    images.step()
-    images.reset(np.array([False, True, False]))
-    assert seen(images, draws) == [101, 102, 101]
-    images.step()
-    assert seen(images, draws) == [103, 102, 103]
-    assert [len(poses) for poses in sources[0].poses] == [3, 1, 2]
+    shown, draws = Shown(2), RandomizedParameters.nominal(3, 0)
+    assert shown.seen(draws) == shown.seen(draws) == [101] * 3
+    shown.step()
+    shown.images = shown.images.demanded(np.array([False, True, False]))
+    assert shown.seen(draws) == [101, 102, 101]
+    shown.step()
+    assert shown.seen(draws) == [103, 102, 103]
+    assert [len(poses) for poses in shown.sources[0].poses] == [3, 1, 2]
 
 
 def test_textures_light_and_mounting_are_those_drawn() -> None:
-    images, sources = held(1)
+    shown = Shown(1)
     rotation, translation = np.zeros((3, 3)), np.zeros((3, 3))
     rotation[1], translation[1] = [0.1, 0.0, 0.0], [0.0, 0.02, 0.0]
     draws = replace(
-        Draws.nominal(3, 0),
+        RandomizedParameters.nominal(3, 0),
         light=np.array([1.0, 2.0, 9.0]),
         texture_seed=np.array([0, 1, 0]),
         camera_rotation_rad=rotation,
         camera_translation_m=translation,
     )
-    assert seen(images, draws) == [101, 222, 255]
-    assert [source.texture_seed for source in sources] == [0, 1]
-    error = sources[1].poses[0][0]
+    assert shown.seen(draws) == [101, 222, 255]
+    assert [source.texture_seed for source in shown.sources] == [0, 1]
+    error = shown.sources[1].poses[0][0]
     np.testing.assert_allclose(error[:3, :3], exp_so3(rotation[1]))
     np.testing.assert_allclose(error[:3, 3], translation[1])
-    assert images.observe(np.tile(np.eye(4), (3, 1, 1)), np.zeros(3, np.int64), draws)["depth"].max() == 2.0
-    images.close()
-    assert all(source.closed for source in sources)
+    assert shown.images.images["depth"].max() == 2.0
+    shown.renderer.close()
+    assert all(source.closed for source in shown.sources)
 
 
-def test_saved_images_can_be_restored() -> None:
-    images, _ = held(2)
-    draws = Draws.nominal(3, 0)
-    seen(images, draws)
-    images.step()
-    saved = images.save()
-    images.reset(EVERY)
-    assert seen(images, draws) == [102] * 3
-    images.restore(saved)
-    assert seen(images, draws) == [101] * 3
+def test_later_images_do_not_change_earlier_ones() -> None:
+    shown, draws = Shown(2), RandomizedParameters.nominal(3, 0)
+    shown.seen(draws)
+    shown.step()
+    saved = shown.images
+    shown.images = shown.images.demanded(EVERY)
+    assert shown.seen(draws) == [102] * 3
+    shown.images = saved
+    assert shown.seen(draws) == [101] * 3

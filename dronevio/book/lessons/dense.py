@@ -103,7 +103,7 @@ def correlations(u, v, inverse_depths):
     ]
     a = view.grey[rows, columns].ravel().astype(float)
     a -= a.mean()
-    found = []
+    means = []
     for w in inverse_depths:
         scores = []
         for source in sources:
@@ -114,8 +114,8 @@ def correlations(u, v, inverse_depths):
             )
             b = b - b.mean()
             scores.append(a @ b / np.sqrt((a @ a + 1e-9) * (b @ b + 1e-9)))
-        found.append(np.mean(sorted(scores)[-2:]))
-    return np.array(found)
+        means.append(np.mean(sorted(scores)[-2:]))
+    return np.array(means)
 
 
 in_camera = (
@@ -252,10 +252,10 @@ from dronevio.estimator.dense.neighbours import observed_points
 
 normals = dominant_normals(reconstruction.points, config.directions)
 known_points = observed_points(reconstruction, REFERENCE)
-found = estimate_depth(view, sources, known_points, normals, config)
+depth_map = estimate_depth(view, sources, known_points, normals, config)
 
 u, v = np.rint(projected[is_seen]).astype(int).T
-deviation = np.abs(found.inverse_depth[v, u] * in_camera[is_seen, 2] - 1.0)
+deviation = np.abs(depth_map.inverse_depth[v, u] * in_camera[is_seen, 2] - 1.0)
 good = np.mean(deviation < 0.02)
 print(f"median difference from the sparse points {np.median(deviation):.2%}")
 print(f"{good:.0%} of the points differ by less than 2 %")

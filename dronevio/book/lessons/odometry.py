@@ -353,13 +353,13 @@ from dronevio.estimator.backend.triangulation import triangulate
 
 cameras = [state.T_world_imu @ camera.T_imu_cam for state in reckoned]
 common = sorted(
-    set.intersection(*(set(found.ids.tolist()) for found in observations))
+    set.intersection(*(set(observed.ids.tolist()) for observed in observations))
 )
 nearest = []
 for identity in common:
     A, b = np.zeros((3, 3)), np.zeros(3)
-    for T, found in zip(cameras, observations, strict=True):
-        x, y = found.xy[found.ids == identity][0]
+    for T, observed in zip(cameras, observations, strict=True):
+        x, y = observed.xy[observed.ids == identity][0]
         f = T[:3, :3] @ np.array([x, y, 1.0]) / np.sqrt(x * x + y * y + 1.0)
         A += np.eye(3) - np.outer(f, f)
         b += (np.eye(3) - np.outer(f, f)) @ T[:3, 3]
@@ -367,7 +367,11 @@ for identity in common:
 landmarks = np.array(nearest)
 
 xy = np.array(
-    [found.xy[found.ids == i][0] for i in common for found in observations]
+    [
+        observed.xy[observed.ids == i][0]
+        for i in common
+        for observed in observations
+    ]
 )
 Ts = np.array(cameras * len(common))
 result = triangulate(
@@ -410,10 +414,10 @@ print(f"median reprojection error {model.fx * np.median(result.rms):.1f} px")
 # which leaves 15 unknowns for each frame. The same operation marginalizes old
 # frames: the inverse of the Schur complement is the covariance of what remains.
 # The next cell verifies this property of
-# `dronevio.estimator.backend.linalg.schur_complement` with random numbers.
+# `dronevio.estimator.optimization.linalg.schur_complement` with random numbers.
 
 # %%
-from dronevio.estimator.backend.linalg import schur_complement
+from dronevio.estimator.optimization.linalg import schur_complement
 
 A = rng.standard_normal((30, 9))
 H, b = A.T @ A, rng.standard_normal(9)
@@ -442,12 +446,12 @@ for k, part in enumerate(increments, start=1):
     )
     propagation.add(part)
     before_mm, _ = position_error_mm(propagation.state_at(int(t_ns[k])), k)
-    found = smoother.add_keyframe(
+    update = smoother.add_keyframe(
         Keyframe(int(t_ns[k]), propagation.preintegrated, observations[k])
     )
     smoothed.append(smoother.state)
     after_mm, _ = position_error_mm(smoother.state, k)
-    count, rejected = len(smoother.landmarks), len(found.rejected)
+    count, rejected = len(smoother.landmarks), len(update.rejected)
     print(f"frame {frames[k]}: {count:3d} landmarks, {rejected} rejected")
     print(
         f"  position error {before_mm:4.1f} mm before, {after_mm:4.1f} mm after"

@@ -85,7 +85,7 @@ from dronevio.estimator.sfm.features import detect_features
 features = [
     detect_features(images.read(i), FeatureConfig()) for i in range(count)
 ]
-print("features in each image:", [len(found) for found in features])
+print("features in each image:", [len(each) for each in features])
 
 # %% jupyter={"source_hidden": true}
 # Figure: features of the first photograph as circles of their size
@@ -120,9 +120,9 @@ from dronevio.estimator.sfm.matching import match_features
 FIRST, SECOND = 0, 2
 
 
-def unit(found):
+def unit(detected):
     """Return descriptors of length 1."""
-    d = found.descriptors.astype(float)
+    d = detected.descriptors.astype(float)
     return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
@@ -162,9 +162,7 @@ print(f"in common {len(common)}")
 from dronevio.estimator.sfm.config import VerificationConfig
 from dronevio.estimator.sfm.two_view import verify, view_of
 
-views = [
-    view_of(found.pixels, camera, is_calibrated=False) for found in features
-]
+views = [view_of(each.pixels, camera, is_calibrated=False) for each in features]
 pair = verify(
     FIRST, SECOND, (views[FIRST], views[SECOND]), matches, VerificationConfig()
 )
@@ -220,12 +218,12 @@ for i in range(count):
         if verified is not None:
             pairs.append(verified)
             angle_deg = np.degrees(verified.angle_rad)
-            found = len(verified.matches)
+            count_ij = len(verified.matches)
             print(
-                f"images {i}, {j}: {found:3d} verified, angle {angle_deg:4.1f}°"
+                f"images {i}, {j}: {count_ij:3d} verified, angle {angle_deg:4.1f}°"
             )
 
-tracks = connect_tracks(pairs, np.array([len(found) for found in features]))
+tracks = connect_tracks(pairs, np.array([len(each) for each in features]))
 observations = list(zip(tracks.image, tracks.feature, strict=True))
 pixels = np.array([features[i].pixels[k] for i, k in observations])
 # The positions of large features are less certain.

@@ -136,7 +136,7 @@ def main(arguments: Sequence[str]) -> int:
     with _run_progress(quiet=command.printing.json) as listener:
         rows = run_benchmark(benchmark, store, engine, listener, command.retry)
     if command.printing.json:
-        print_json({"results": str(folder / RESULTS_FILE), "rows": [asdict(row) for row in rows]})
+        print_json({"results": str(folder / RESULTS_FILE), "rows": [row.columns for row in rows]})
     else:
         print_benchmark(rows)
         print(f"results:  {folder / RESULTS_FILE}")

@@ -106,10 +106,10 @@ def find_model(scene: Path, component: int) -> Path:
     if not (scene / "report.json").is_file():
         return scene
     names = (f"colmap-binary/{component}", f"colmap-text/{component}", f"bundle-{component}.out")
-    found = next((scene / name for name in names if (scene / name).exists()), None)
-    if found is None:
+    reconstruction = next((scene / name for name in names if (scene / name).exists()), None)
+    if reconstruction is None:
         raise InputError(scene, f"no reconstruction of component {component}", f"one of {', '.join(names)}")
-    return found
+    return reconstruction
 
 
 def _open(command: DenseCommand) -> "ImageSet":

@@ -99,13 +99,13 @@ def _caches() -> dict[str, dict[str, Any]]:
 
     recordings = default_folder()
     used = size_bytes(recordings)
-    found: dict[str, dict[str, Any]] = {
+    caches: dict[str, dict[str, Any]] = {
         "recordings": {"folder": str(recordings), "gb": used * 1e-9, "limit_gb": limit_bytes(recordings, used) * 1e-9}
     }
     worlds = world_files.folder()
     for folder, files in ((worlds, world_files.FILES_MAX), (worlds.with_name("pictures"), world_pictures.FILES_MAX)):
-        found[folder.name] = {"folder": str(folder), "gb": size_bytes(folder) * 1e-9, "limit_files": files}
-    return found
+        caches[folder.name] = {"folder": str(folder), "gb": size_bytes(folder) * 1e-9, "limit_files": files}
+    return caches
 
 
 def _cache_text(cache: dict[str, Any]) -> str:
@@ -126,8 +126,8 @@ def _av1_encoder() -> str:
 
 def _rerun_viewer() -> bool:
     """Return whether the executable of the rerun viewer is installed."""
-    found = find_spec("rerun_cli")
-    folders = [Path(place) for place in (found.submodule_search_locations or ())] if found else []
+    viewer = find_spec("rerun_cli")
+    folders = [Path(place) for place in (viewer.submodule_search_locations or ())] if viewer else []
     return any(file.is_file() for folder in folders for file in folder.glob("rerun*"))
 
 

@@ -205,13 +205,13 @@ class Estimation:
     @property
     def trajectories(self) -> dict[str, "Trajectory"]:
         """The trajectories to write, by the keys of their files in the summary."""
-        found = {"estimate": self.trajectory}
+        trajectories = {"estimate": self.trajectory}
         if self.slam is not None:
-            found["map_estimate"] = self.run.map_trajectory
-            found["final_map_estimate"] = self.trajectory if self.run.map is None else self.run.final_trajectory
+            trajectories["map_estimate"] = self.run.map_trajectory
+            trajectories["final_map_estimate"] = self.trajectory if self.run.map is None else self.run.final_trajectory
         if self.imu_rate is not None:
-            found["imu_rate"] = self.imu_rate
-        return found
+            trajectories["imu_rate"] = self.imu_rate
+        return trajectories
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -232,29 +232,29 @@ def main(arguments: Sequence[str]) -> int:
     summaries: list[dict[str, Any]] = []
     for of_segment, segment in zip(commands, segments, strict=True):
         try:
-            found = estimated(of_segment, segment)
+            estimation = estimated(of_segment, segment)
         except EvaluationError as error:
             if segment is segments[-1] and not any(each["poses"] for each in summaries):
                 raise
             print_warning(str(error))
             summaries.append({"recording": str(command.recording), "poses": 0, "reason": str(error)})
             continue
-        summaries.append(summary_of(of_segment, found))
+        summaries.append(summary_of(of_segment, estimation))
         try:
-            write_results(of_segment, found)
+            write_results(of_segment, estimation)
         except ConfigError as error:  # such as a map of too few keyframes
             if len(segments) == 1:
                 raise
             print_warning(f"{segment.name}: {error}")
         if not command.printing.json:
-            print_estimation(of_segment, found, summaries[-1])
+            print_estimation(of_segment, estimation, summaries[-1])
     if command.printing.json:
         document = {"recording": str(command.recording), "segments": summaries}
         print_json(summaries[0] if len(segments) == 1 else document)
     return 0
 
 
-def write_results(command: EstimateCommand, found: Estimation) -> None:
+def write_results(command: EstimateCommand, estimation: Estimation) -> None:
     """Write the files of the estimation of a segment, the trajectories first.
 
     Raises:
@@ -265,26 +265,26 @@ def write_results(command: EstimateCommand, found: Estimation) -> None:
     from dronevio.models.recordings.tum import write_tum
 
     places = result_files(command)
-    for name, trajectory in found.trajectories.items():
+    for name, trajectory in estimation.trajectories.items():
         write_tum(places[name], trajectory)
-    if found.slam is not None and command.save_map is not None:
-        found.slam.save_map(command.save_map)
-    if found.slam is not None and command.save_g2o is not None:
-        found.slam.save_graph(command.save_g2o)
-    if found.slam is not None and command.save_colmap is not None:
+    if estimation.slam is not None and command.save_map is not None:
+        estimation.slam.save_map(command.save_map)
+    if estimation.slam is not None and command.save_g2o is not None:
+        estimation.slam.save_graph(command.save_g2o)
+    if estimation.slam is not None and command.save_colmap is not None:
         with atomic_folder(command.save_colmap) as folder:
-            found.slam.save_colmap(folder, found.recording)
-    if found.slam is not None and command.save_ply is not None:
-        found.slam.save_ply(command.save_ply, found.recording)
+            estimation.slam.save_colmap(folder, estimation.recording)
+    if estimation.slam is not None and command.save_ply is not None:
+        estimation.slam.save_ply(command.save_ply, estimation.recording)
 
 
-def print_estimation(command: EstimateCommand, found: Estimation, summary: dict[str, Any]) -> None:
+def print_estimation(command: EstimateCommand, estimation: Estimation, summary: dict[str, Any]) -> None:
     """Print the figures and the files of the estimation of a segment."""
-    print_values(f"Estimate of {found.recording.name}", summary_rows(command, found, summary))
-    if not found.recording.complete:
+    print_values(f"Estimate of {estimation.recording.name}", summary_rows(command, estimation, summary))
+    if not estimation.recording.complete:
         print("The recording is incomplete: it was interrupted.")
     print(f"wrote {' and '.join(str(place) for place in result_files(command).values())}")
-    if found.recording.ground_truth is not None:
+    if estimation.recording.ground_truth is not None:
         print(f"evaluate it:  dronevio evaluate {command.recording} {command.out}")
 
 
@@ -383,46 +383,46 @@ def estimated(command: EstimateCommand, recording: "StoredRecording") -> Estimat
     return Estimation(recording, run, trajectory, slam, imu_rate.trajectory if observers else None)
 
 
-def summary_of(command: EstimateCommand, found: Estimation) -> dict[str, Any]:
+def summary_of(command: EstimateCommand, estimation: Estimation) -> dict[str, Any]:
     """Return the figures of an estimation and the names of its files, for ``--json``."""
     from dronevio.models.defects import defect_values
 
-    run, places = found.run, {name: str(place) for name, place in result_files(command).items()}
+    run, places = estimation.run, {name: str(place) for name, place in result_files(command).items()}
     summary: dict[str, Any] = {
         "recording": str(command.recording),
         "estimate": places.pop("estimate"),
-        "complete": found.recording.complete,
+        "complete": estimation.recording.complete,
         "defects": defect_values(run.defects),
-        "cameras": len(found.recording.rig.cameras),
+        "cameras": len(estimation.recording.rig.cameras),
         "frames": len(run.estimates),
-        "poses": len(found.trajectory),
+        "poses": len(estimation.trajectory),
         "health": {str(health): count for health, count in Counter(e.health for e in run.estimates).items()},
         "innovations": None if run.innovations is None else asdict(run.innovations),
         "warnings": [{"t_s": (t_ns - run.t_ns[0]) * 1e-9, "text": text} for t_ns, text in run.warnings],
-        "first_pose_s": float((found.trajectory.t_ns[0] - run.t_ns[0]) * 1e-9),
-        "path_m": found.trajectory.length_m,
+        "first_pose_s": float((estimation.trajectory.t_ns[0] - run.t_ns[0]) * 1e-9),
+        "path_m": estimation.trajectory.length_m,
         "cpu_ms_per_frame": float(run.cpu_ms.mean()),
         "real_time_factor": run.real_time_factor,
     }
-    if found.slam is not None:
-        cost = found.slam.map_cost
-        summary |= {"map": asdict(found.slam.summary), "map_cost": asdict(cost)}
+    if estimation.slam is not None:
+        cost = estimation.slam.map_cost
+        summary |= {"map": asdict(estimation.slam.summary), "map_cost": asdict(cost)}
         summary["map_cpu_ms_per_frame"] = cost.worker_cpu_ms_per_frame
         summary["saved_map"] = None
         summary["first_map_pose_s"] = _first_map_pose_s(run)
     summary |= places
-    if found.imu_rate is not None:
-        summary["imu_rate_poses"] = len(found.imu_rate)
+    if estimation.imu_rate is not None:
+        summary["imu_rate_poses"] = len(estimation.imu_rate)
     return summary
 
 
 def summary_rows(
-    command: EstimateCommand, found: Estimation, summary: dict[str, Any]
+    command: EstimateCommand, estimation: Estimation, summary: dict[str, Any]
 ) -> tuple[tuple[str, str, str], ...]:
     """Return rows of names, values and units that describe an estimation with its summary."""
     from dronevio.models.defects import count_defects
 
-    run = found.run
+    run = estimation.run
     return (
         ("cameras", f"{summary['cameras']}", ""),
         ("frames", f"{summary['frames']}", ""),
@@ -431,11 +431,11 @@ def summary_rows(
         *((f"defects: {each.kind}", f"{each.count}", "") for each in count_defects(run.defects)),
         ("first pose after", f"{summary['first_pose_s']:.2f}", "s"),
         ("length of the path", f"{summary['path_m']:.2f}", "m"),
-        *map_rows(found.slam),
+        *map_rows(estimation.slam),
         *_joined_rows(command, summary),
         *(
             (label, "–" if value is None else format(value, form), unit)
-            for label, value, form, unit in innovation_rows(summary["innovations"])
+            for label, value, form, unit in innovation_rows(run.innovations)
         ),
         ("processor time per frame", f"{summary['cpu_ms_per_frame']:.1f}", "ms"),
         (

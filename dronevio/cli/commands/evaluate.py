@@ -14,7 +14,7 @@ from dronevio.cli.terminal import parse, print_json, print_table, print_values
 from dronevio.models.ranges import Range, Settings
 
 if TYPE_CHECKING:
-    from dronevio.eval.metrics import ScoredTrajectory, Scores, Statistics
+    from dronevio.eval.metrics import ScoredTrajectory, ScoreOptions, Scores
     from dronevio.eval.metrics.kitti import KittiScores
     from dronevio.models.imu import Times
     from dronevio.models.state import Trajectory
@@ -88,7 +88,7 @@ def main(arguments: Sequence[str]) -> int:
     command = parse(EvaluateCommand, arguments, "evaluate")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # starting threads would cost more than they could save
 
-    from dronevio.eval.metrics import PairRule, score_trajectory
+    from dronevio.eval.metrics import score_trajectory
     from dronevio.eval.metrics.time_offset import estimate_time_offset_s
 
     estimate = _trajectory(command, command.estimate)
@@ -97,13 +97,7 @@ def main(arguments: Sequence[str]) -> int:
         truth,
         estimate,
         _frame_times_ns(command.truth, estimate.t_ns),
-        command.alignment,
-        align_poses=command.align_poses,
-        rpe=PairRule(command.rpe_delta, command.rpe_unit, command.rpe_pairs, command.rpe_source, command.rpe_tolerance),
-        lengths_m=command.lengths_m or None,
-        association=command.association,
-        max_gap_s=command.max_gap_s,
-        time_offset_s=command.time_offset_s,
+        _options(command),
     )
     kitti = _kitti(command, scored) if command.kitti else None
     offset_s = estimate_time_offset_s(truth, estimate) if command.estimate_time_offset else None
@@ -123,26 +117,25 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def print_scores(title: str, scores: "Scores") -> None:
-    """Print scores as tables with units; a dash stands for a value that is not known."""
-    over = f"over {scores.rpe_interval}"
-    errors: list[tuple[str, Statistics | None, int, str]] = [
-        (f"ATE, position ({scores.alignment} aligned)", scores.ate_m, 4, "m"),
-        ("ATE, orientation", scores.ate_deg, 3, "°"),
-        (f"RPE, position, {over}", scores.rpe_m, 4, "m"),
-        (f"RPE, orientation, {over}", scores.rpe_deg, 3, "°"),
+    """Print scores as tables with units, without those that are not known."""
+    from dronevio.eval.metrics import Statistics
+    from dronevio.eval.metrics.metric import declared
+
+    errors, values = [], []
+    for name, metric in declared(type(scores)):
+        whole, label = getattr(scores, name), metric.label(scores.rpe_interval)
+        if isinstance(whole, Statistics):
+            cells = map(metric.text, (whole.rmse, whole.mean, whole.median, whole.max))
+            errors += [] if metric.name else [(label, *cells, metric.unit)]  # of a part of them: in the table already
+        elif whole is not None:
+            values.append((label, metric.text(whole), metric.unit))
+    counts = [
+        ("poses compared", f"{scores.n_poses} of {scores.n_estimated}", ""),
+        ("last pose after the first true pose", f"{scores.last_pose_s:.3f}", "s"),
+        (f"pairs over {scores.rpe_interval}", f"{scores.rpe_pairs}", ""),
     ]
-    optional = (
-        ("velocity", scores.velocity_m_s, 4, "m/s"),
-        ("gyroscope bias", scores.gyro_bias_rad_s, 5, "rad/s"),
-        ("accelerometer bias", scores.accel_bias_m_s2, 4, "m/s²"),
-    )
-    errors += [row for row in optional if row[1] is not None]
-    print_table(
-        title,
-        ("error", "rmse", "mean", "median", "max", "unit"),
-        [(name, *_summary(statistics, decimals), unit) for name, statistics, decimals, unit in errors],
-        left=("unit",),
-    )
+    headings = ("error", "rmse", "mean", "median", "max", "unit")
+    print_table(f"{title}, alignment {scores.alignment}", headings, errors, left=("unit",))
     if scores.lengths:
         print_table(
             "Mean errors by length of the sub-trajectories",
@@ -160,7 +153,7 @@ def print_scores(title: str, scores: "Scores") -> None:
                 for of in scores.lengths
             ],
         )
-    print_values("", _other_scores(scores, over))
+    print_values("", [*values, *counts])
 
 
 def print_kitti(kitti: "KittiScores") -> None:
@@ -170,38 +163,27 @@ def print_kitti(kitti: "KittiScores") -> None:
         "KITTI benchmark",
         ("length", "position, %", "orientation, °/100 m"),
         [
-            (f"all {kitti.segments} segments" if length is None else f"{length:g} m", _text(percent, 4), _text(deg, 4))
+            (f"all {kitti.segments} segments" if length is None else f"{length:g} m", _text(percent), _text(deg))
             for length, percent, deg in by_length
         ],
     )
     print(f"ATE {kitti.ate_m:.4f} m; mean RPE between frames {kitti.rpe_m:.5f} m, {kitti.rpe_deg:.5f} °")
 
 
-def _other_scores(scores: "Scores", over: str) -> list[tuple[str, str, str]]:
-    """Return scores that are single values, as rows of a table."""
-    consistency = [
-        ("NEES, position (expected: 3)", _text(scores.nees_position, 2), ""),
-        ("NEES, orientation (expected: 3)", _text(scores.nees_orientation, 2), ""),
-        *(
-            []
-            if scores.nees_velocity is None
-            else [("NEES, velocity (expected: 3)", _text(scores.nees_velocity, 2), "")]
-        ),
-        ("positions beyond 3 σ", _text(scores.position_beyond_3_sigma_percent, 2), "%"),
-    ]
-    return [
-        ("scale error", _text(scores.scale_error_percent, 2), "%"),
-        ("drift, yaw and position aligned", _text(scores.drift_percent, 3), "%"),
-        ("coverage after 3 s", _text(scores.coverage_percent, 2), "%"),
-        ("poses compared", f"{scores.n_poses} of {scores.n_estimated}", ""),
-        ("longest gap between compared poses", _text(scores.longest_gap_s, 3), "s"),
-        (f"pairs {over}", f"{scores.rpe_pairs}", ""),
-        ("length of the path", _text(scores.path_m, 2), "m"),
-        ("first pose, after the first true pose", _text(scores.first_pose_s, 3), "s"),
-        ("first pose, after the first frame", _text(scores.initialization_s, 3), "s"),
-        ("last pose, after the first true pose", _text(scores.last_pose_s, 3), "s"),
-        *(consistency if scores.nees_position is not None else ()),
-    ]
+def _options(command: EvaluateCommand) -> "ScoreOptions":
+    """Return how a command compares the two trajectories."""
+    from dronevio.eval.metrics import PairRule, ScoreOptions
+
+    pairs = command.rpe_delta, command.rpe_unit, command.rpe_pairs, command.rpe_source, command.rpe_tolerance
+    return ScoreOptions(
+        command.alignment,
+        command.align_poses,
+        PairRule(*pairs),
+        command.lengths_m or None,
+        command.association,
+        command.max_gap_s,
+        command.time_offset_s,
+    )
 
 
 def _trajectory(command: EvaluateCommand, path: Path, poses_ns: "Times | None" = None) -> "Trajectory":
@@ -269,15 +251,6 @@ def _warn(warning: str) -> None:
     print(f"dronevio: {warning}", file=sys.stderr)
 
 
-def _text(value: float | None, decimals: int) -> str:
+def _text(value: float | None) -> str:
     """Return a number as text for a table, or a dash if it is not known."""
-    return "–" if value is None else f"{value:.{decimals}f}"
-
-
-def _summary(statistics: "Statistics | None", decimals: int) -> tuple[str, str, str, str]:
-    """Return RMSE, mean, median and maximum as texts for a table, or dashes if they are not known."""
-    if statistics is None:
-        return ("–", "–", "–", "–")
-    values = (statistics.rmse, statistics.mean, statistics.median, statistics.max)
-    rmse, mean, median, largest = (_text(value, decimals) for value in values)
-    return rmse, mean, median, largest
+    return "–" if value is None else f"{value:.4f}"

@@ -92,14 +92,14 @@ def _check_outcomes(command: GateCommand) -> int:
     from dronevio.eval.benchmark.outcomes import verdicts
     from dronevio.eval.benchmark.rows import read_rows
 
-    found = verdicts(read_rows(command.results), EXPECTATIONS)
-    if not found:
+    checked = verdicts(read_rows(command.results), EXPECTATIONS)
+    if not checked:
         raise ConfigError(f"{command.results}: no run with an expected outcome; expected --baseline, or runs of stress")
-    failed = [verdict for verdict in found if not verdict.passed]
+    failed = [verdict for verdict in checked if not verdict.passed]
     if command.printing.json:
-        print_json({"passed": not failed, "runs": len(found), "violations": [verdict.text for verdict in failed]})
+        print_json({"passed": not failed, "runs": len(checked), "violations": [verdict.text for verdict in failed]})
         return int(bool(failed))
     for verdict in failed:
         print(f"failed: {verdict.text}")
-    print(f"gate {'failed' if failed else 'passed'}: {len(found) - len(failed)} of {len(found)} runs as expected")
+    print(f"gate {'failed' if failed else 'passed'}: {len(checked) - len(failed)} of {len(checked)} runs as expected")
     return int(bool(failed))

@@ -57,16 +57,16 @@ def main(arguments: Sequence[str]) -> int:
     check_output_path(command.out)
     recording = command.reading.open(command.recording, repair=True)
     with progress_bars(quiet=command.printing.json) as bars:
-        found = inspect(recording, run=command.run, progress=bars.bar)
-    write_text(command.out, found.page)
+        inspection = inspect(recording, run=command.run, progress=bars.bar)
+    write_text(command.out, inspection.page)
     if command.printing.json:
-        print_json({**found.as_values(), "page": str(command.out)})
+        print_json({**inspection.as_values(), "page": str(command.out)})
     else:
-        _print(found, command)
-    return int(command.strict and found.verdict is Verdict.WRONG)
+        _print(inspection, command)
+    return int(command.strict and inspection.verdict is Verdict.WRONG)
 
 
-def _print(found: "Inspection", command: InspectCommand) -> None:
+def _print(inspection: "Inspection", command: InspectCommand) -> None:
     """Print the rows and the summary."""
     from dronevio.inspection.model import Verdict
 
@@ -78,10 +78,10 @@ def _print(found: "Inspection", command: InspectCommand) -> None:
             str(each.verdict),
             f"{each.found}. To do: {each.advice}" if each.advice else each.found,
         )
-        for each in found.findings
+        for each in inspection.findings
     ]
-    print_table(f"Inspection of {found.name}", columns, rows, left=columns[1:])
-    counts = {verdict: sum(f.verdict is verdict for f in found.findings) for verdict in Verdict}
+    print_table(f"Inspection of {inspection.name}", columns, rows, left=columns[1:])
+    counts = {verdict: sum(f.verdict is verdict for f in inspection.findings) for verdict in Verdict}
     print(", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count))
-    print(found.summary[0].upper() + found.summary[1:])
+    print(inspection.summary[0].upper() + inspection.summary[1:])
     print(f"wrote {command.out}")

@@ -77,11 +77,12 @@ def _document(benchmark: "BenchmarkResults", command: ReportCommand) -> str:
 
         return benchmark_page(benchmark)
 
-    from dronevio.eval.report.benchmark.model import MAIN_MEASURES, find_measure
+    from dronevio.eval.benchmark.metrics import metric_named
+    from dronevio.eval.report.benchmark.model import MAIN_MEASURES
     from dronevio.eval.report.benchmark.tables import DEFAULT_TABLES, as_csv, as_latex, as_markdown
 
-    chosen = tuple(map(find_measure, command.measures))
-    default = tuple(m for m in benchmark.measures if command.format == "csv" or m.column in MAIN_MEASURES)
+    chosen = tuple(map(metric_named, command.measures))
+    default = tuple(m for m in benchmark.measures if command.format == "csv" or m.name in MAIN_MEASURES)
     if command.format == "csv":
         return as_csv(benchmark, chosen or default)
     render = {"markdown": as_markdown, "latex": as_latex}[command.format]

@@ -27,8 +27,16 @@ from dronevio.sim.closed_loop.settings import LoopSettings
 if TYPE_CHECKING:
     from dronevio.estimator.config import VioConfig
     from dronevio.estimator.slam.config import SlamConfig
+    from dronevio.eval.map_results import MapSummary
+    from dronevio.eval.metrics.scores import Scores
+    from dronevio.eval.report.model import RunReport
     from dronevio.sim.envs.policies.mission import PolicyMission
     from dronevio.sim.scenario import Scenario
+
+SHOWN_SCORES = ("ate_m", "rpe_m", "rpe_deg", "scale_error_percent", "coverage_percent")
+"""Scores of the estimate that are printed."""
+SHOWN_MAP_SCORES = ("ate_m", "rpe_m", "scale_error_percent")
+"""Scores of the trajectories that the map corrects that are printed."""
 
 
 @dataclass(frozen=True)
@@ -122,19 +130,18 @@ def main(arguments: Sequence[str]) -> int:
         reserved_folder(target, command.output.overwrite, mark="report.json") as folder,
         progress_bars(quiet=command.output.json) as bars,
     ):
-        _run(scenario, command, mission, folder, target, repeating_command(chosen, arguments), bars)
+        report = _run(scenario, command, mission, folder, target, repeating_command(chosen, arguments), bars)
         if not command.keep_recording:
             shutil.rmtree(folder / "recording")
-    report = json.loads((target / "report.json").read_text(encoding="utf-8"))
     if command.output.json:
-        print_json({"run": str(target), **report})
+        print_json({"run": str(target), **report.values})
         return 0
     print_report(f"Run {scenario.name}, seed {scenario.seed}", report)
-    if report["policy"] is not None:
-        result = "accomplished" if report["policy"]["success"] else "not accomplished"
-        print(f"task:     {result} ({report['policy']['environment']}; end: {report['policy']['end']})")
-    if report["control"]["collision"] is not None:
-        print(f"the flight ended early: the drone {report['control']['collision']}")
+    if report.policy is not None:
+        result = "accomplished" if report.policy.success else "not accomplished"
+        print(f"task:     {result} ({report.policy.environment}; end: {report.policy.end})")
+    if report.control is not None and report.control.collision is not None:
+        print(f"the flight ended early: the drone {report.control.collision}")
     if command.save_map is not None:
         print(f"map:      {command.save_map}")
     print(f"report:   {target}/report.html")
@@ -169,8 +176,8 @@ def _run(
     target: Path,
     repeat: str,
     bars: Bars,
-) -> None:
-    """Simulate, estimate and evaluate a scenario, and write all results into a folder.
+) -> "RunReport":
+    """Simulate, estimate and evaluate a scenario, write all results into a folder, and return the figures.
 
     Args:
         scenario: The scenario.
@@ -195,9 +202,9 @@ def _run(
     assert truth is not None
     write_tum(folder / "groundtruth.tum", truth)
     write_tum(folder / "estimate.tum", trajectory)
-    if estimated.of_map is not None:
-        write_tum(folder / "estimate_map.tum", estimated.of_map.online)
-        write_tum(folder / "map_final.tum", estimated.of_map.final)
+    if estimated.map is not None:
+        write_tum(folder / "estimate_map.tum", estimated.map.online)
+        write_tum(folder / "map_final.tum", estimated.map.final)
     shutil.copyfile(folder / "recording" / "mav0" / "imu0" / "data.csv", folder / "imu.csv")
     configuration = _configuration(scenario, command, mission)
     (folder / "configuration.json").write_text(json.dumps(configuration, indent=2) + "\n", encoding="utf-8")
@@ -208,7 +215,7 @@ def _run(
         seed=scenario.seed,
         configuration=configuration,
     )
-    write_report(
+    return write_report(
         folder,
         info,
         estimated.recording,
@@ -217,7 +224,7 @@ def _run(
         outline=surroundings.outline,
         control=control_result(command.fly_on, estimated),
         policy=estimated.outcome,
-        map_results=estimated.of_map,
+        map_results=estimated.map,
     )
 
 
@@ -257,59 +264,55 @@ def repeating_command(scenario: "Scenario", arguments: Sequence[str]) -> str:
     return shlex.join(["dronevio", "run", *words])
 
 
-def print_report(title: str, report: dict[str, Any]) -> None:
-    """Print the main figures of a ``report.json``; a dash stands for a value that is not known."""
-    scores, timing = report["scores"], report["timing"]
-    rpe_m, rpe_deg = scores["rpe_m"] or {"rmse": None}, scores["rpe_deg"] or {"rmse": None}
+def print_report(title: str, report: "RunReport") -> None:
+    """Print the main figures of a run; a dash stands for a value that is not known."""
+    timing = report.timing
     shown: list[tuple[str, float | str | None, str, str]] = [
-        ("length of the path", report["flight"]["path_m"], ".1f", "m"),
-        ("ATE, yaw and position aligned", scores["ate_m"]["rmse"], ".3f", "m"),
-        ("RPE over 1 s, position", rpe_m["rmse"], ".3f", "m"),
-        ("RPE over 1 s, orientation", rpe_deg["rmse"], ".2f", "°"),
-        ("scale error", scores["scale_error_percent"], "+.2f", "%"),
-        ("coverage", scores["coverage_percent"], ".1f", "%"),
-        *_map_rows(report),
-        *innovation_rows(report["estimator"]["innovations"]),
-        ("processor time per frame, mean", timing["cpu_ms_mean"], ".1f", "ms"),
-        ("processor time per frame, 99th percentile", timing["cpu_ms_p99"], ".1f", "ms"),
-        ("duration of the flight / processor time", timing["real_time_factor"], ".1f", ""),
+        *innovation_rows(report.estimator.innovations),
+        ("processor time per frame, mean", timing.cpu_ms_mean, ".1f", "ms"),
+        ("processor time per frame, 99th percentile", timing.cpu_ms_p99, ".1f", "ms"),
+        ("duration of the flight / processor time", timing.real_time_factor, ".1f", ""),
         *_control_rows(report),
     ]
-    print_values(
-        title,
-        [(label, "–" if value is None else format(value, form), unit) for label, value, form, unit in shown],
-    )
+    others = [(label, "–" if value is None else format(value, form), unit) for label, value, form, unit in shown]
+    scores = _score_rows("", report.scores, SHOWN_SCORES)
+    path = ("length of the path", f"{report.flight.path_m:.1f}", "m")
+    print_values(title, [path, *scores, *_map_rows(report.map), *others])
 
 
-def _map_rows(report: dict[str, Any]) -> tuple[tuple[str, float | str | None, str, str], ...]:
-    """Return names, values, formats and units of the figures of the map; none without a map."""
-    if (of_map := report["map"]) is None:
-        return ()
-    size = (("loops", "loops"), ("rejected loops", "rejected_loops"), ("keyframes of the map", "keyframes"))
-    return (
-        *_corrected_rows("map, online", of_map["online"]),
-        *_corrected_rows("map, final", of_map["final"]),
-        *((label, of_map[key], "d", "") for label, key in size),
-        ("bundle adjustment of the map", of_map["adjustment"], "s", ""),
-    )
+def _score_rows(prefix: str, scores: "Scores | None", names: Sequence[str]) -> list[tuple[str, str, str]]:
+    """Return labels, values and units of some scores of a trajectory; none without ground truth."""
+    from dronevio.eval.metrics.scores import SCORE_METRICS
+
+    if scores is None:
+        return []
+    metrics = [SCORE_METRICS[name] for name in names]
+    return [(prefix + m.label(scores.rpe_interval), m.text(m.of(scores)), m.unit) for m in metrics]
 
 
-def _corrected_rows(name: str, scores: dict[str, Any]) -> tuple[tuple[str, float | None, str, str], ...]:
-    """Return names, values, formats and units of the scores of a trajectory that the map corrects."""
-    rpe_m = scores["rpe_m"] or {"rmse": None}
-    return (
-        (f"{name}: ATE", scores["ate_m"]["rmse"], ".3f", "m"),
-        (f"{name}: RPE over 1 s, position", rpe_m["rmse"], ".3f", "m"),
-        (f"{name}: scale error", scores["scale_error_percent"], "+.2f", "%"),
-    )
+def _map_rows(summary: "MapSummary | None") -> list[tuple[str, str, str]]:
+    """Return labels, values and units of the figures of the map; none without a map."""
+    if summary is None:
+        return []
+    return [
+        *_score_rows("map, online: ", summary.online, SHOWN_MAP_SCORES),
+        *_score_rows("map, final: ", summary.final, SHOWN_MAP_SCORES),
+        ("loops", str(summary.loops), ""),
+        ("rejected loops", str(summary.rejected_loops), ""),
+        ("keyframes of the map", str(summary.keyframes), ""),
+        ("bundle adjustment of the map", summary.adjustment or "–", ""),
+    ]
 
 
-def _control_rows(report: dict[str, Any]) -> tuple[tuple[str, float | None, str, str], ...]:
+def _control_rows(report: "RunReport") -> list[tuple[str, float | None, str, str]]:
     """Return names, values, formats and units of the figures of the control of a flight."""
-    policy, flown_on = report["policy"], f"flown on the {report['control']['flown_on']}"
+    policy, control = report.policy, report.control
+    if control is None:
+        return []
+    flown_on = f"flown on the {control.flown_on}"
     if policy is None:
-        return ((f"distance from the reference, {flown_on}", report["control"]["reference_rmse_m"], ".3f", "m"),)
-    return (
-        ("time of the policy in command", policy["duration_s"], ".2f", "s"),
-        (f"distance from the goal at the end, {flown_on}", policy["distance_m"], ".3f", "m"),
-    )
+        return [(f"distance from the reference, {flown_on}", control.reference_rmse_m, ".3f", "m")]
+    return [
+        ("time of the policy in command", policy.duration_s, ".2f", "s"),
+        (f"distance from the goal at the end, {flown_on}", policy.distance_m, ".3f", "m"),
+    ]

@@ -39,7 +39,7 @@ class EstimatedFlight:
     """The estimated trajectory with its errors."""
     outcome: "PolicyOutcome | None" = None
     """Outcome of the flight of a policy; None for other flights."""
-    of_map: "MapResults | None" = None
+    map: "MapResults | None" = None
     """The map with the corrected trajectories; None without --slam."""
 
 
@@ -87,9 +87,9 @@ def _flown_on_truth(
         with _viewers(recording, surroundings, command) as viewers:
             run = estimate_recording(recording, estimator, progress["estimating"], (file, *viewers))
         run = _with_map(run, estimator, command)
-        scored, of_map = _scored(recording, run), map_results(run, recording)
-        file.finish(run, scored, of_map)
-    return EstimatedFlight(flight, recording, run, scored, of_map=of_map)
+        scored, mapped = _scored(recording, run), map_results(run, recording)
+        file.finish(run, scored, mapped)
+    return EstimatedFlight(flight, recording, run, scored, map=mapped)
 
 
 def _flown_live(
@@ -132,20 +132,20 @@ def _flown_live(
     )
     recording = _recording(scenario, folder)
     run = _with_map(replace(estimator.run, defects=defects_of(recording)), own, command)
-    scored, of_map = _scored(recording, run), map_results(run, recording)
+    scored, mapped = _scored(recording, run), map_results(run, recording)
     write_rrd(
         folder / "run.rrd",
         recording,
         run,
         scored,
-        of_map=of_map,
+        mapped=mapped,
         surroundings=surroundings,
         progress=progress["logging"],
     )
     outcome = None
     if mission is not None and pilot is not None:
         outcome = policy_outcome(mission, flight, pilot.began_ns)
-    return EstimatedFlight(flight, recording, run, scored, outcome, of_map)
+    return EstimatedFlight(flight, recording, run, scored, outcome, mapped)
 
 
 def _estimator(command: "RunCommand", rig: "Rig") -> "VisualInertialOdometry | VisualSlam":

@@ -49,7 +49,7 @@ def add_observations(
     shared = np.asarray((observed @ observed.T).todense())
     descriptors = track_descriptors(scene, used, features)
     distances = _distances(scene, state, used)
-    found = [np.empty((0, 3), np.int64)]
+    added = [np.empty((0, 3), np.int64)]
     for image in np.flatnonzero(state.is_registered).tolist():
         neighbours = np.flatnonzero(shared[image] >= MIN_SHARED_POINTS)
         seen = np.asarray(observed[neighbours].sum(axis=0)).ravel() > 0
@@ -61,8 +61,8 @@ def add_observations(
         matches = _matches(
             scene, state, image, tracks, np.flatnonzero(free), features[image], descriptors, distances, config
         )
-        found.append(np.column_stack([np.full(len(matches), image), matches]))
-    return _extended(scene, state, features, np.concatenate(found))
+        added.append(np.column_stack([np.full(len(matches), image), matches]))
+    return _extended(scene, state, features, np.concatenate(added))
 
 
 def _observed(scene: Scene, used: Mask) -> coo_array:

@@ -109,16 +109,16 @@ def align_with_imu(
         R = np.stack([part.rotation(gyro_bias) for part in intervals.increments])
         return np.asarray(log_so3(np.swapaxes(R, 1, 2) @ np.swapaxes(intervals.R_start, 1, 2) @ intervals.R_end))
 
-    found = least_squares(
+    fit = least_squares(
         lambda bias: rotation_errors(bias).ravel(),
         np.zeros(3),
         loss="soft_l1",
         f_scale=ROTATION_SCALE_RAD,
         x_scale=0.01,
     )
-    motions = [_preintegrate(part, found.x) for part in intervals.increments]
-    rms_rotation = float(np.sqrt(np.mean(np.sum(rotation_errors(found.x) ** 2, axis=1))))
-    return _solve(intervals, motions, found.x, rms_rotation, inertial, config, known_scale)
+    motions = [_preintegrate(part, fit.x) for part in intervals.increments]
+    rms_rotation = float(np.sqrt(np.mean(np.sum(rotation_errors(fit.x) ** 2, axis=1))))
+    return _solve(intervals, motions, fit.x, rms_rotation, inertial, config, known_scale)
 
 
 def _intervals(

@@ -92,37 +92,37 @@ def _level(state: SfmState, images: ImageSet, config: InertialConfig, world: Wor
         return state, world
     index = _one_per_frame(state, images)
     Ts_imu_cam = images.Ts_imu_cam[images.image_camera[index]]
-    found = align_with_imu(
+    alignment = align_with_imu(
         images.t_ns[index], state.Ts_world_cam[index], Ts_imu_cam, images.inertial, config, world.is_metric
     )
-    note, has_scale = _insufficient(found, config)
+    note, has_scale = _insufficient(alignment, config)
     if note and config.use == "required":
         raise ConfigError(f"the IMU does not determine gravity and scale: {note}")
-    if isinstance(found, str) or np.degrees(found.tilt_sigma_rad) > config.max_tilt_sigma_deg:
+    if isinstance(alignment, str) or np.degrees(alignment.tilt_sigma_rad) > config.max_tilt_sigma_deg:
         return state, replace(world, note=note)
     R_world_imu = state.Ts_world_cam[index[0], :3, :3] @ Ts_imu_cam[0, :3, :3].T
-    R = level_rotation(-found.gravity)
+    R = level_rotation(-alignment.gravity)
     R = rotation_z(-yaw_rad_from_matrix(R @ R_world_imu)) @ R
-    state = transformed(state, found.scale if has_scale else 1.0, R, np.zeros(3))
+    state = transformed(state, alignment.scale if has_scale else 1.0, R, np.zeros(3))
     source: ScaleSource = "imu" if has_scale and not world.is_metric else world.scale
     # In arbitrary units, the distance between camera and IMU is unknown.
     lever = R @ R_world_imu @ Ts_imu_cam[0, :3, 3] if source != "arbitrary" else np.zeros(3)
     origin = state.Ts_world_cam[index[0], :3, 3] - lever
-    return transformed(state, 1.0, np.eye(3), -origin), WorldFrame(source, True, found, note)
+    return transformed(state, 1.0, np.eye(3), -origin), WorldFrame(source, True, alignment, note)
 
 
-def _insufficient(found: InertialAlignment | str, config: InertialConfig) -> tuple[str, bool]:
+def _insufficient(alignment: InertialAlignment | str, config: InertialConfig) -> tuple[str, bool]:
     """Return why the IMU does not determine gravity or scale, empty if it does, and whether the scale is determined."""
-    if isinstance(found, str):
-        return found, False
-    tilt_deg, scale_percent = float(np.degrees(found.tilt_sigma_rad)), 100.0 * found.scale_sigma
+    if isinstance(alignment, str):
+        return alignment, False
+    tilt_deg, scale_percent = float(np.degrees(alignment.tilt_sigma_rad)), 100.0 * alignment.scale_sigma
     if tilt_deg > config.max_tilt_sigma_deg:
         limit = f"{config.max_tilt_sigma_deg:g}°"
         return (
             f"the direction of gravity has a standard deviation of {tilt_deg:.1f}°; at most {limit} is allowed",
             False,
         )
-    if found.scale <= 0.0 or found.scale_sigma > config.max_scale_sigma:
+    if alignment.scale <= 0.0 or alignment.scale_sigma > config.max_scale_sigma:
         deviation = f"the scale has a standard deviation of {scale_percent:.1f} %"
         limit = f"{100.0 * config.max_scale_sigma:g} %"
         return f"too little acceleration: {deviation}; at most {limit} is allowed", False

@@ -68,8 +68,8 @@ def differences(inputs: AdjustmentInputs, adjusted: AdjustedMap) -> tuple[Differ
     newest = inputs.keyframes[-1]
     track = [keyframe for keyframe in inputs.keyframes if keyframe.track == newest.track]
     scale, saved = _scale(track, adjusted), _positions(inputs, adjusted)
-    found = (scale, _tilt(newest, adjusted), *_biases(newest, adjusted), saved)
-    return tuple(each for each in found if each is not None)
+    compared = (scale, _tilt(newest, adjusted), *_biases(newest, adjusted), saved)
+    return tuple(each for each in compared if each is not None)
 
 
 def _scale(track: Sequence[AdjustmentKeyframe], adjusted: AdjustedMap) -> Difference | None:
@@ -130,12 +130,12 @@ def _biases(newest: AdjustmentKeyframe, adjusted: AdjustedMap) -> list[Differenc
             ACCEL_BIAS_SIGMA_M_S2,
         ),
     )
-    found = []
+    biases = []
     for name, unit, difference, own, least in quantities:
         joint = np.hypot(own, least)
         worst = int(np.argmax(np.abs(difference) / joint))
-        found.append(Difference(name, unit, float(difference[worst]), float(joint[worst])))
-    return found
+        biases.append(Difference(name, unit, float(difference[worst]), float(joint[worst])))
+    return biases
 
 
 def _positions(inputs: AdjustmentInputs, adjusted: AdjustedMap) -> Difference | None:

@@ -369,11 +369,15 @@ def triangulated(
         return table, {}
     Ts = {number: T @ inputs.calibration.Ts_imu_cam for number, T in inputs.poses.items()}
     T = np.stack([Ts[k][c] for k, c in zip(table.keyframe.tolist(), table.camera.tolist(), strict=True)])
-    found = triangulate(starts, T[:, :3, :3], T[:, :3, 3], table.xy)
+    triangulation = triangulate(starts, T[:, :3, :3], T[:, :3, 3], table.xy)
     limit = config.max_error_px / float(inputs.calibration.focal_px[0])
-    is_used = found.in_front & (found.parallax_rad > np.radians(config.min_parallax_deg)) & (found.rms < limit)
+    is_used = (
+        triangulation.in_front
+        & (triangulation.parallax_rad > np.radians(config.min_parallax_deg))
+        & (triangulation.rms < limit)
+    )
     ids = table.landmark[starts]
-    points = {int(i): point for i, point in zip(ids[is_used], found.points[is_used], strict=True)}
+    points = {int(i): point for i, point in zip(ids[is_used], triangulation.points[is_used], strict=True)}
     return table[np.repeat(is_used, counts)], points
 
 

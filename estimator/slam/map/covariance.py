@@ -51,25 +51,25 @@ def covariances_with_loops(
             reached[loop.first].append(reversed_pose(loop))
     if not reached:
         return covariances
-    found, steps = dict(covariances), {relative.second: relative for relative in graph.odometry}
+    best, steps = dict(covariances), {relative.second: relative for relative in graph.odometry}
     gravity = {direction.keyframe: direction for direction in graph.gravity}
     positions = {position.keyframe: position for position in graph.positions}
-    for number in sorted(k for k in found if k >= min(reached)):
-        paths = [found[number], *(propagated(found[loop.first], loop, None) for loop in reached[number])]
+    for number in sorted(k for k in best if k >= min(reached)):
+        paths = [best[number], *(propagated(best[loop.first], loop, None) for loop in reached[number])]
         step = steps.get(number)
         if step is not None:
-            paths.append(propagated(found[step.first], step, gravity.get(number)))
+            paths.append(propagated(best[step.first], step, gravity.get(number)))
         if number in positions:
             paths.append(with_position(paths[-1], positions[number], graph.poses[number]))
-        found[number] = min(paths, key=position_variance)
+        best[number] = min(paths, key=position_variance)
     # What the first loop of another track tells of the keyframes before it
     for number in sorted(steps, reverse=True):
         step = steps[number]
-        if is_unknown(found[step.first]):
-            found[step.first] = min(
-                found[step.first], propagated(found[number], reversed_pose(step), None), key=position_variance
+        if is_unknown(best[step.first]):
+            best[step.first] = min(
+                best[step.first], propagated(best[number], reversed_pose(step), None), key=position_variance
             )
-    return found
+    return best
 
 
 def covariances_of(graph: PoseGraph) -> Mapping[int, Array]:

@@ -249,12 +249,12 @@ def _missing_growth(estimate: KeyframeEstimate, covariance: Array) -> Array:
     turns, as by an error of scale while the vehicle flies around its start, would else grow at every turn.
     """
     S = np.kron(np.eye(2), estimate.T_odom_imu[:3, :3])  # from the IMU frame to the odometry frame
-    expected, found = S @ estimate.covariance @ S.T, S @ covariance @ S.T
+    expected, own = S @ estimate.covariance @ S.T, S @ covariance @ S.T
     missing, horizontal = np.zeros((6, 6)), slice(3, 5)
-    missing[2, 2] = max(expected[2, 2] - found[2, 2], 0.0)
-    missing[5, 5] = max(expected[5, 5] - found[5, 5], 0.0)
+    missing[2, 2] = max(expected[2, 2] - own[2, 2], 0.0)
+    missing[5, 5] = max(expected[5, 5] - own[5, 5], 0.0)
     trace = np.trace(expected[horizontal, horizontal])
-    share = max(1.0 - float(np.trace(found[horizontal, horizontal]) / trace), 0.0)
+    share = max(1.0 - float(np.trace(own[horizontal, horizontal]) / trace), 0.0)
     missing[horizontal, horizontal] = share * expected[horizontal, horizontal]
     return np.asarray(S.T @ missing @ S)
 

@@ -25,8 +25,8 @@ INLIER_PROBABILITY = 0.99
 FREE_ROTATION_SIGMA_RAD, FREE_POSITION_SIGMA_M = 1.0, 100.0
 """Standard deviations of the pose of the first keyframe of a joined track [rad] and [m]: loops alone determine its yaw
 and position, and the solution stays unique where all of them are rejected."""
-JUDGED_ROTATION_SIGMA_RAD, JUDGED_POSITION_SIGMA_M = 0.005, 0.01
-"""Standard deviations that are added to those of a loop where it is judged [rad] and [m]. The graph contains the growth
+TESTED_ROTATION_SIGMA_RAD, TESTED_POSITION_SIGMA_M = 0.005, 0.01
+"""Standard deviations that are added to those of a loop where it is tested [rad] and [m]. The graph contains the growth
 of the odometry's covariance since the start, which is less than the error between two keyframes of its middle. A place
 that is mistaken for another one is wrong by far more."""
 ADJUSTED_VARIANCE = 0.1
@@ -125,7 +125,7 @@ def optimize(graph: PoseGraph, *, robust: bool = True) -> OptimizedGraph:
 
     Args:
         graph: The graph; its poses are the initial estimates.
-        robust: Whether loops may be wrong. They are then judged by graduated non-convexity with a truncated quadratic
+        robust: Whether loops may be wrong. They are then tested by graduated non-convexity with a truncated quadratic
             loss (Yang et al., "Graduated non-convexity for robust spatial perception", RA-L 2020).
     """
     values = gtsam.Values()
@@ -253,10 +253,10 @@ def _rejected_loops(graph: PoseGraph, values: gtsam.Values) -> frozenset[int]:
     free = [i for i, loop in enumerate(graph.loops) if not {loop.first, loop.second} <= is_fixed]
     if not free:
         return frozenset()
-    added = np.diag(np.repeat([JUDGED_ROTATION_SIGMA_RAD**2, JUDGED_POSITION_SIGMA_M**2], 3))
+    added = np.diag(np.repeat([TESTED_ROTATION_SIGMA_RAD**2, TESTED_POSITION_SIGMA_M**2], 3))
     loops = (graph.loops[i] for i in free)
-    judged = replace(graph, loops=tuple(replace(loop, covariance=loop.covariance + added) for loop in loops))
-    factors = factor_graph(judged)
+    tested = replace(graph, loops=tuple(replace(loop, covariance=loop.covariance + added) for loop in loops))
+    factors = factor_graph(tested)
     params = gtsam.GncLMParams(gtsam.LevenbergMarquardtParams())
     params.setLossType(gtsam.GncLossType.TLS)
     params.setKnownInliers(list(range(factors.size() - len(free))))

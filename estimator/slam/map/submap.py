@@ -127,7 +127,7 @@ class Submap:
         return self.solution.graph
 
     @property
-    def judged(self) -> int:
+    def tested_loops(self) -> int:
         """Number of loops that an optimization has accepted or rejected."""
         return len(self.graph.loops) - self.waiting
 
@@ -169,7 +169,7 @@ class Submap:
         return replace(self, solution=solution, history=history, waiting=self.waiting + len(loops))
 
     def optimized(self, t_ns: int) -> "Submap":
-        """Return the submap after an optimization, which judges the waiting loops; its frame is that of `map_frame`.
+        """Return the submap after an optimization with the waiting loops, in the frame of `map_frame`.
 
         Args:
             t_ns: Time of the newest keyframe [ns].
@@ -250,7 +250,7 @@ class Submap:
             previous: The keyframe before it in the graph.
             following: The estimate of the keyframe after it.
         """
-        graph, waiting = self.graph, self.graph.loops[self.judged :]
+        graph, waiting = self.graph, self.graph.loops[self.tested_loops :]
         before = next(relative for relative in graph.odometry if relative.second == number)
         after = next(relative for relative in graph.odometry if relative.first == number)
         _, merged = self._odometry_factors(previous, after.second, following)
@@ -264,7 +264,7 @@ class Submap:
         positions = [each for each in graph.positions if each.keyframe not in (number, after.second)]
         positions += [] if merged.position is None else [merged.position]
         closed = self.closed_loops
-        kept = [loop for loop in graph.loops[: self.judged] if loop.second != number]
+        kept = [loop for loop in graph.loops[: self.tested_loops] if loop.second != number]
         room = MAX_PASSED_LOOPS - sum(loop.second == before.first for loop in kept)
         own = [loop for loop in closed if loop.second == number and loop.first != before.first]
         passed = [composed(loop, reversed_pose(before)) for loop in own[: max(room, 0)]]

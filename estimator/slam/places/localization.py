@@ -30,7 +30,7 @@ Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 BORDER_PX = 3  # pixels around a patch that its gradients and its blur need
-MIN_DEPTH_M = 0.2  # smallest depth of a landmark that is projected
+MIN_LOCALIZED_DEPTH_M = 0.2  # smallest depth of a landmark that is projected
 
 
 @dataclass(frozen=True)
@@ -154,9 +154,9 @@ class Localizer:
         """
         c, rig = self._config, images.rig
         in_view = [self._in_view(patches, index, images, T_match_query) for index in range(len(rig.cameras))]
-        found = [self._aligned(patches, images.images[i], rig.cameras[i].model, *v) for i, v in enumerate(in_view)]
-        rows = np.concatenate([each[0] for each in found])
-        xy = np.concatenate([each[1] for each in found])
+        aligned = [self._aligned(patches, images.images[i], rig.cameras[i].model, *v) for i, v in enumerate(in_view)]
+        rows = np.concatenate([each[0] for each in aligned])
+        xy = np.concatenate([each[1] for each in aligned])
         min_count = max(c.min_inliers, c.min_view_ratio * sum(len(each[0]) for each in in_view))
         if len(rows) < min_count:
             return None
@@ -213,14 +213,14 @@ class Localizer:
         templates = type(templates)(templates.templates, templates.rows, warp)
         aligned = self._aligner.align(self._aligner.scale_space(image), templates, pixels)
         is_found = aligned.valid & (np.linalg.norm(aligned.pixels - pixels, axis=1) < self._config.max_shift_px)
-        rows, found = _select(is_found, rows, aligned.pixels)
-        return rows, camera.normalize(found)
+        rows, shifted = _select(is_found, rows, aligned.pixels)
+        return rows, camera.normalize(shifted)
 
     def _is_visible(self, in_old: Array, in_new: Array, T_new_old: Array) -> Mask:
         """Return which landmarks, given in both camera frames, are seen from similar directions."""
         away = in_old + T_new_old[:3, :3].T @ T_new_old[:3, 3]  # from the new camera, in the axes of the old one
         cosine = np.sum(in_old * away, axis=1) / (np.linalg.norm(in_old, axis=1) * np.linalg.norm(away, axis=1))
-        is_ahead = (in_new[:, 2] > MIN_DEPTH_M) & (in_old[:, 2] > MIN_DEPTH_M)
+        is_ahead = (in_new[:, 2] > MIN_LOCALIZED_DEPTH_M) & (in_old[:, 2] > MIN_LOCALIZED_DEPTH_M)
         return np.asarray(is_ahead & (cosine > np.cos(np.radians(self._config.max_view_deg))))
 
 

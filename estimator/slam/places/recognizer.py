@@ -124,9 +124,9 @@ class PlaceRecognizer:
             ConfigError: The keyframe is not later than the last one.
         """
         place, words = self._checked(keyframe), self._vocabulary.assign(keyframe.features.descriptors)
-        found = self._recognize(place, words)
+        verified = self._recognize(place, words)
         self._insert(place, words)
-        matches, self._recent = self._confirmed(place, found, self._recent)
+        matches, self._recent = self._confirmed(place, verified, self._recent)
         return matches
 
     def locate(self, keyframe: MapKeyframe) -> PlaceMatch | None:
@@ -136,8 +136,8 @@ class PlaceRecognizer:
             keyframe: The keyframe, with the landmarks that are known so far.
         """
         place = self._checked(keyframe)
-        found = self._recognize(place, self._vocabulary.assign(keyframe.features.descriptors))
-        matches, self._located = self._confirmed(place, found, self._located)
+        verified = self._recognize(place, self._vocabulary.assign(keyframe.features.descriptors))
+        matches, self._located = self._confirmed(place, verified, self._located)
         return matches[-1] if matches else None
 
     def insert(self, keyframe: MapKeyframe) -> None:
@@ -255,24 +255,24 @@ class PlaceRecognizer:
         )
 
     def _confirmed(
-        self, place: _Place, found: _Verified | None, recent: tuple[_Verified, ...]
+        self, place: _Place, verified: _Verified | None, recent: tuple[_Verified, ...]
     ) -> tuple[tuple[PlaceMatch, ...], tuple[_Verified, ...]]:
         """Return the matches that a new one confirms, with the new one, and those to remember for the next keyframes.
 
         Args:
             place: The keyframe of the new match.
-            found: The new match; None if there is none.
+            verified: The new match; None if there is none.
             recent: Matches of the keyframes before.
         """
         oldest_ns = place.keyframe.t_ns - round(self._config.confirm_within_s * 1e9)
         recent = tuple(each for each in recent if each.query.keyframe.t_ns >= oldest_ns)
-        if found is None:
+        if verified is None:
             return (), recent
-        agreeing = [each for each in recent if self._agree(each, found)]
+        agreeing = [each for each in recent if self._agree(each, verified)]
         waiting = _waiting(agreeing)
         others = [each for each in recent if each not in waiting]
         published = [_Verified(each.result, each.query, each.match, published=True) for each in waiting]
-        newest = _Verified(found.result, found.query, found.match, published=bool(agreeing))
+        newest = _Verified(verified.result, verified.query, verified.match, published=bool(agreeing))
         recent = (*others, *published, newest)
         return ((*(each.result for each in waiting), newest.result) if agreeing else ()), recent
 

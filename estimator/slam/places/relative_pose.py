@@ -18,9 +18,13 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
+from dronevio.estimator.optimization.gauss_newton import gauss_newton
+from dronevio.estimator.optimization.linalg import LUFactor, SingularError
+from dronevio.estimator.optimization.robust import cauchy_inflation, cauchy_loss
 from dronevio.estimator.slam.places.matching import Correspondences
 from dronevio.models.ranges import Range, Settings
-from dronevio.models.rotation import cross, exp_so3, skew
+from dronevio.models.rotation import cross, exp_so3, pose_matrix, skew
 
 Array = npt.NDArray[np.float64]
 
@@ -31,8 +35,6 @@ MIN_STEP = 1e-4
 """Size of a step, [rad] and [m], after which the next one would be negligible."""
 MAX_DEPTH_SIGMAS = 3.0
 """Largest estimated error of a depth, in standard deviations."""
-MIN_DEPTH_M = 0.05
-"""Smallest depth at which a landmark is projected [m]."""
 
 
 @dataclass(frozen=True)
@@ -85,21 +87,85 @@ class PoseFit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Linearized:
-    """Whitened residuals of all correspondences and their Jacobians; those of the old landmarks come first."""
+class PoseEstimate:
+    """The variables: the relative pose, and the errors of the depths at which the projections are linearized."""
 
-    residual: Array  # (N, 2)
-    J: Array  # (N, 2, 6)
-    scale: Array  # (N, 2) derivative with respect to the logarithm of the common scale of the landmarks
-    error: Array  # (N,)
-    depth: Array  # (N, 1) estimated relative errors of the depths
+    T_match_query: Array
+    """(4, 4) Pose of the query's IMU in that of the match."""
+    depth: Array
+    """(N, 1) Relative errors of the depths of all landmarks, those of the match first."""
 
 
-class _Problem:
+@dataclass(frozen=True, eq=False)
+class DepthScales:
+    """Covariances σ² I + ρ² s sᵀ of N residuals about a linearization.
+
+    Their inverse roots are (I − k s sᵀ) / σ.
+    """
+
+    depth: Array
+    """(N, 1) Relative errors of the depths at which it is."""
+    s: Array
+    """(N, 2) Derivatives of the projections by these errors."""
+    k: Array
+    """(N, 1) Share of the error along s that is removed, divided by its squared length."""
+    weight: Array
+    """(N, 1) 1/σ; zero for landmarks behind the camera."""
+
+    def whitened(self, residual: Array) -> Array:
+        """Return residuals (N, 2) of the projections in standard deviations."""
+        return np.asarray(self.weight * (residual - self.k * self.s * np.sum(self.s * residual, axis=1, keepdims=True)))
+
+
+@dataclass(frozen=True, eq=False)
+class PoseEquations:
+    """Normal equations of a relative pose, and the residuals that they are made of; depths are eliminated."""
+
+    H: Array
+    """(6, 6) Information matrix of δθ (right) and δp."""
+    b: Array
+    """(6,) Right-hand side."""
+    x: PoseEstimate
+    """The variables at which they are linearized."""
+    scales: DepthScales
+    """Covariances of the residuals."""
+    J: Array
+    """(N, 2, 6) Whitened Jacobians."""
+    by_scale: Array
+    """(N, 2) Whitened derivatives by the logarithm of the common scale of the landmarks."""
+    error: Array
+    """(N,) Whitened errors, about 1 for inliers."""
+    weights: Array
+    """(N,) Weights of the Cauchy loss."""
+    depth: Array
+    """(N, 1) Estimated relative errors of the depths."""
+    tilt_sigmas: float
+    """Deviation from the directions of gravity, in standard deviations."""
+
+    def retract(self, delta: Array) -> PoseEstimate:
+        """Return the variables after a step (6,), with the estimated depths."""
+        T = self.x.T_match_query
+        return PoseEstimate(pose_matrix(T[:3, :3] @ exp_so3(delta[:3]), T[:3, 3] + delta[3:]), self.depth)
+
+    def scale_gradients(self, count_old: int) -> Array:
+        """Return the gradients (6, 2) with respect to the scale of the old and of the new landmarks."""
+        weighted = np.sum(self.J * self.by_scale[:, :, None], axis=1) * self.weights[:, None]
+        return np.stack([weighted[:count_old].sum(axis=0), weighted[count_old:].sum(axis=0)], axis=1)
+
+    @property
+    def variance_factor(self) -> float:
+        """Factor, 1 or more, by which the variance of the residuals exceeds the assumed one."""
+        freedom = 2.0 * self.weights.sum() - 6.0
+        return max(1.0, float(2.0 * np.sum(self.weights * self.error**2) / freedom)) if freedom > 0.0 else 1.0
+
+
+class RelativePoseObjective:
     """The measurements of one relative pose."""
 
     def __init__(self, old: Correspondences, new: Correspondences, views: Views, config: RelativePoseConfig) -> None:
+        """Take the correspondences in both directions; see `refine`."""
         self.count_old = len(old)
+        """Number of old landmarks, which come first."""
         self._config, self._views = config, views
         self._old, self._new = old.points, new.points
         self._rays_old = old.points - views.Ts_imu_cam[old.point_camera, :3, 3]
@@ -110,79 +176,76 @@ class _Problem:
         self._p_imu_cam = views.Ts_imu_cam[camera, :3, 3]
         self._sigma = (config.pixel_sigma / views.focal_px[camera])[:, None]
 
-    def linearize(self, T: Array, depth: Array | None = None) -> _Linearized:
-        """Return the residuals at a pose (4, 4) of the query's IMU in that of the match.
+    def initial(self, T_match_query: Array) -> PoseEstimate:
+        """Return the variables for a pose (4, 4), with the depths as they are given."""
+        return PoseEstimate(T_match_query, np.zeros((len(self._xy), 1)))
 
-        Args:
-            T: The pose.
-            depth: (N, 1) Relative errors of the depths at which the projection is linearized; zero by default.
-        """
-        R, p, n = T[:3, :3], T[:3, 3], self.count_old
-        depth = np.zeros((len(self._xy), 1)) if depth is None else depth
-        # Old landmarks are Rᵀ(X − p) in the query's frame, and new ones R Y + p in the match's frame.
-        new = self._new + depth[n:] * self._rays_new
-        p_imu = np.concatenate([(self._old + depth[:n] * self._rays_old - p) @ R, new @ R.T + p])
-        ray = np.concatenate([self._rays_old @ R, self._rays_new @ R.T])
-        p_cam = (self._R_cam_imu @ (p_imu - self._p_imu_cam)[:, :, None])[:, :, 0]
-        is_behind = p_cam[:, 2] < MIN_DEPTH_M
-        z = np.where(is_behind, 1.0, p_cam[:, 2])[:, None]
+    def linearize(self, x: PoseEstimate) -> PoseEquations:
+        """Return the normal equations at some variables."""
+        R, n = x.T_match_query[:3, :3], self.count_old
+        p_imu, p_cam, z, is_behind = self._in_cameras(x.T_match_query, x.depth)
         projected = p_cam[:, :2] / z
-        # Derivative of the projection with respect to the landmark in the IMU frame.
+        # Derivatives of the projection by the landmark in the IMU frame, by the pose and by the depth
         J_p = (self._R_cam_imu[:, :2] - projected[:, :, None] * self._R_cam_imu[:, 2:]) / z[:, :, None]
+        new = self._new + x.depth[n:] * self._rays_new
         J = np.empty((len(z), 2, 6))
         J[:n, :, :3], J[:n, :, 3:] = cross(J_p[:n], p_imu[:n, None]), -J_p[:n] @ R.T
         J[n:, :, :3], J[n:, :, 3:] = cross(new[:, None], J_p[n:] @ R), J_p[n:]
-        scale = (J_p @ ray[:, :, None])[:, :, 0]
-        # W = (σ² I + ρ² s sᵀ)^(−½) = (I − k s sᵀ) / σ.
-        length2 = np.sum(scale * scale, axis=1, keepdims=True)
-        gain = np.sqrt(1.0 + self._config.depth_sigma**2 * length2 / self._sigma**2)
+        ray = np.concatenate([self._rays_old @ R, self._rays_new @ R.T])
+        s = (J_p @ ray[:, :, None])[:, :, 0]
+        # The depths are eliminated: residuals at their priors' means, with their covariances
+        variance, length2 = self._config.depth_sigma**2, np.sum(s * s, axis=1, keepdims=True)
+        gain = np.sqrt(1.0 + variance * length2 / self._sigma**2)
         k = (1.0 - 1.0 / gain) / np.maximum(length2, 1e-300)
-        weight = np.where(is_behind[:, None], 0.0, 1.0 / self._sigma)
-        residual = projected - self._xy - depth * scale
-        variance = self._config.depth_sigma**2
-        depth = -variance * np.sum(scale * residual, axis=1, keepdims=True) / (self._sigma**2 + variance * length2)
-        residual = weight * (residual - k * scale * np.sum(scale * residual, axis=1, keepdims=True))
-        along = (scale[:, None, :] @ J)[:, 0]
-        J = weight[:, :, None] * (J - (k * scale)[:, :, None] * along[:, None, :])
-        error = np.where(is_behind, MAX_ERROR, np.sqrt(0.5 * np.sum(residual * residual, axis=1)))
+        scales = DepthScales(x.depth, s, k, np.where(is_behind[:, None], 0.0, 1.0 / self._sigma))
+        residual = projected - self._xy - x.depth * s
+        depth = -variance * np.sum(s * residual, axis=1, keepdims=True) / (self._sigma**2 + variance * length2)
         limit = MAX_DEPTH_SIGMAS * self._config.depth_sigma  # that of outliers
-        return _Linearized(residual, J, weight * scale * (1.0 - k * length2), error, np.clip(depth, -limit, limit))
-
-    def normal_equations(self, T: Array, depth: Array | None = None) -> tuple[Array, Array, _Linearized, float]:
-        """Return H (6, 6), g (6,), the residuals, and the deviation of gravity in standard deviations."""
-        part, views, config = self.linearize(T, depth), self._views, self._config
-        weighted = part.J * self.weights(part)[:, None, None]
-        H = np.tensordot(weighted, part.J, ((0, 1), (0, 1)))
-        g = np.tensordot(weighted, part.residual, ((0, 1), (0, 1)))
-        down_query, down_predicted = views.R_query.T @ DOWN, T[:3, :3].T @ views.R_match.T @ DOWN
-        sigma = np.sqrt(2.0) * np.radians(config.tilt_sigma_deg)
-        # The component along gravity is zero to the first order; keeping it makes a basis unnecessary.
-        residual, J_tilt = (down_predicted - down_query) / sigma, skew(down_predicted) / sigma
+        residual, along = scales.whitened(residual), (s[:, None, :] @ J)[:, 0]
+        J = scales.weight[:, :, None] * (J - (k * s)[:, :, None] * along[:, None, :])
+        # Robust normal equations
+        error = np.where(is_behind, MAX_ERROR, np.sqrt(0.5 * np.sum(residual * residual, axis=1)))
+        weights = 1.0 / cauchy_inflation((error / self._config.robust_sigmas) ** 2, 1.0)
+        weighted = J * weights[:, None, None]
+        H, g = (np.tensordot(weighted, each, ((0, 1), (0, 1))) for each in (J, residual))
+        tilt, J_tilt = self._tilt(R)
         H[:3, :3] += J_tilt.T @ J_tilt
-        g[:3] += J_tilt.T @ residual
-        return H, g, part, float(np.linalg.norm(residual))
+        g[:3] += J_tilt.T @ tilt
+        by_scale, depth = scales.weight * s * (1.0 - k * length2), np.clip(depth, -limit, limit)
+        return PoseEquations(H, -g, x, scales, J, by_scale, error, weights, depth, float(np.linalg.norm(tilt)))
 
-    def weights(self, part: _Linearized) -> Array:
-        """Return the weights (N,) of the Cauchy loss."""
-        return np.asarray(1.0 / (1.0 + (part.error / self._config.robust_sigmas) ** 2))
+    def cost(self, x: PoseEstimate, scales: DepthScales) -> float:
+        """Return the cost of a pose, with the depths eliminated as in a linearization."""
+        _, p_cam, z, _ = self._in_cameras(x.T_match_query, scales.depth)
+        residual = scales.whitened(p_cam[:, :2] / z - self._xy - scales.depth * scales.s)
+        losses = cauchy_loss(np.sum(residual * residual, axis=1), 2.0 * self._config.robust_sigmas**2)
+        tilt = self._tilt(x.T_match_query[:3, :3])[0]
+        return 0.5 * float(losses.sum() + tilt @ tilt)
 
-    def scale_gradients(self, part: _Linearized) -> Array:
-        """Return the gradients (6, 2) with respect to the scale of the old and of the new landmarks."""
-        weighted = np.sum(part.J * part.scale[:, :, None], axis=1) * self.weights(part)[:, None]
-        return np.stack([weighted[: self.count_old].sum(axis=0), weighted[self.count_old :].sum(axis=0)], axis=1)
+    def _in_cameras(self, T: Array, depth: Array) -> tuple[Array, Array, Array, npt.NDArray[np.bool_]]:
+        """Return the landmarks (N, 3) in the frames of IMU and camera, their depths (N, 1), and which are behind."""
+        # Old landmarks are Rᵀ(X − p) in the query's frame, and new ones R Y + p in the match's frame.
+        R, p, n = T[:3, :3], T[:3, 3], self.count_old
+        new = self._new + depth[n:] * self._rays_new
+        p_imu = np.concatenate([(self._old + depth[:n] * self._rays_old - p) @ R, new @ R.T + p])
+        p_cam = (self._R_cam_imu @ (p_imu - self._p_imu_cam)[:, :, None])[:, :, 0]
+        is_behind = p_cam[:, 2] < MIN_DEPTH_M
+        return p_imu, p_cam, np.where(is_behind, 1.0, p_cam[:, 2])[:, None], is_behind
 
-    def variance_factor(self, part: _Linearized) -> float:
-        """Return the factor, 1 or more, by which the variance of the residuals exceeds the assumed one."""
-        weight = self.weights(part)
-        freedom = 2.0 * weight.sum() - 6.0
-        return max(1.0, float(2.0 * np.sum(weight * part.error**2) / freedom)) if freedom > 0.0 else 1.0
+    def _tilt(self, R: Array) -> tuple[Array, Array]:
+        """Return the deviation (3,) of gravity in standard deviations, and its derivative (3, 3) by δθ."""
+        views, sigma = self._views, np.sqrt(2.0) * np.radians(self._config.tilt_sigma_deg)
+        down_query, down_predicted = views.R_query.T @ DOWN, R.T @ views.R_match.T @ DOWN
+        # The component along gravity is zero to the first order; keeping it makes a basis unnecessary.
+        return (down_predicted - down_query) / sigma, skew(down_predicted) / sigma
 
 
 def whitened_errors(
     T_match_query: Array, old: Correspondences, new: Correspondences, views: Views, config: RelativePoseConfig
 ) -> tuple[Array, Array]:
     """Return the whitened reprojection errors (N,) and (M,) of both directions by a pose, about 1 for inliers."""
-    error = _Problem(old, new, views, config).linearize(T_match_query).error
+    objective = RelativePoseObjective(old, new, views, config)
+    error = objective.linearize(objective.initial(T_match_query)).error
     return error[: len(old)], error[len(old) :]
 
 
@@ -198,23 +261,21 @@ def refine(
         views: Cameras and directions of gravity.
         config: Assumed errors.
     """
-    problem, T = _Problem(old, new, views, config), np.array(T_match_query, np.float64)
-    depth: Array | None = None
-    for _ in range(config.iterations):
-        H, g, part, _ = problem.normal_equations(T, depth)
-        depth = part.depth
-        try:
-            step = np.asarray(-np.linalg.solve(H, g), np.float64)
-        except np.linalg.LinAlgError:
-            return None
-        T[:3, :3] = T[:3, :3] @ exp_so3(step[:3])
-        T[:3, 3] += step[3:]
-        if np.abs(step).max() < MIN_STEP:
-            break
-    H, _, part, tilt = problem.normal_equations(T, depth)
-    if not np.all(np.isfinite(H)) or np.linalg.cond(H) > 1e14:
+    objective = RelativePoseObjective(old, new, views, config)
+    try:
+        x = gauss_newton(
+            objective,
+            objective.initial(T_match_query),
+            LUFactor,
+            config.iterations,
+            is_last=lambda step: float(np.abs(step.delta).max()) < MIN_STEP,
+        ).x
+    except SingularError:
         return None
-    covariance = np.linalg.inv(H)
-    sensitivity = covariance @ problem.scale_gradients(part)  # (6, 2) of the pose, with respect to both scales
-    covariance = covariance * problem.variance_factor(part) + config.scale_sigma**2 * sensitivity @ sensitivity.T
-    return PoseFit(T, 0.5 * (covariance + covariance.T), tilt)
+    equations = objective.linearize(x)
+    if not np.all(np.isfinite(equations.H)) or np.linalg.cond(equations.H) > 1e14:
+        return None
+    covariance = np.linalg.inv(equations.H)
+    sensitivity = covariance @ equations.scale_gradients(objective.count_old)  # (6, 2) of the pose, to both scales
+    covariance = covariance * equations.variance_factor + config.scale_sigma**2 * sensitivity @ sensitivity.T
+    return PoseFit(x.T_match_query, 0.5 * (covariance + covariance.T), equations.tilt_sigmas)

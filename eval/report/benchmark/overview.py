@@ -1,15 +1,23 @@
 """Tables with a row for each scenario and estimator: summary, consistency, and initialization."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from dronevio.eval.benchmark.loop_summary import EQUAL_M, EQUAL_PERCENT, LARGE_ERROR_M, LoopSummary, PathSummary
 from dronevio.eval.benchmark.outcomes import MAX_SIGMAS
 from dronevio.eval.benchmark.rows import Row
-from dronevio.eval.benchmark.summary import AverageNees, RunGroup, all_runs, quartiles_of_errors, run_groups
-from dronevio.eval.report.benchmark.model import FAILED, BenchmarkResults, significant
-from dronevio.eval.report.tables import DASH, Cell, Table
+from dronevio.eval.benchmark.summary import (
+    AverageNees,
+    RunGroup,
+    all_runs,
+    known_values,
+    quartiles_of_errors,
+    run_groups,
+)
+from dronevio.eval.metrics.metric import DASH, FAILED, significant
+from dronevio.eval.report.benchmark.model import BenchmarkResults
+from dronevio.eval.report.tables import Cell, Table
 
 SUMMARY_NOTE = "A run has diverged if its coverage is below 99 % or its ATE above 1 % of the length of the path."
 """Explanation of the column ``diverged``."""
@@ -50,8 +58,8 @@ def summary_table(results: BenchmarkResults) -> Table:
 def consistency_table(results: BenchmarkResults) -> Table:
     """Return the ANEES of position, orientation and velocity of each scenario and estimator, and of all scenarios."""
     columns = ("scenario", "estimator", "runs", "position", "orientation", "velocity", "95 % bounds")
-    found = ((group, AverageNees.of(group.rows)) for group in _groups(results.rows))
-    rows = tuple(_consistency_row(group, nees) for group, nees in found if nees is not None)
+    averages = ((group, AverageNees.of(group.rows)) for group in _groups(results.rows))
+    rows = tuple(_consistency_row(group, nees) for group, nees in averages if nees is not None)
     return Table("Average NEES (ANEES), 3 expected", columns, rows, text_columns=_TEXT_COLUMNS)
 
 
@@ -71,7 +79,7 @@ def start_table(results: BenchmarkResults) -> Table:
         "largest scale error [%]",
         "ATE [m]",
     )
-    rows = tuple(_start_row(group) for group in _groups(results.rows) if any(r.start_s is not None for r in group.rows))
+    rows = tuple(_start_row(group) for group in _groups(results.rows) if known_values(group.rows, "start_s"))
     return Table("Initialization: medians over runs", columns, rows, text_columns=_TEXT_COLUMNS)
 
 
@@ -94,8 +102,8 @@ def loop_table(results: BenchmarkResults) -> Table:
         "recall [%]",
         "smallest [%]",
     )
-    found = ((group, LoopSummary.of(group.rows)) for group in _groups(results.rows))
-    rows = tuple(_loop_row(group, summary) for group, summary in found if summary is not None)
+    summaries = ((group, LoopSummary.of(group.rows)) for group in _groups(results.rows))
+    rows = tuple(_loop_row(group, summary) for group, summary in summaries if summary is not None)
     return Table("Loops: medians of errors after the first revisit", columns, rows, text_columns=_TEXT_COLUMNS)
 
 
@@ -116,8 +124,8 @@ def _groups(rows: Sequence[Row]) -> tuple[RunGroup, ...]:
 
 def _summary_row(group: RunGroup) -> tuple[Cell, ...]:
     rows, failed, diverged = group.rows, len(group.rows) - group.ok, group.diverged
-    percent = [math.inf if row.status != "ok" else row.ate_percent for row in rows]
-    sigmas = max(_known(rows, "tracking_sigmas"), default=None)
+    percent = [math.inf if row.status != "ok" else row["ate_percent"] for row in rows]
+    sigmas = max(known_values(rows, "tracking_sigmas"), default=None)
     return (
         *_names(group),
         _count(failed, "failed" if failed else ""),
@@ -127,9 +135,9 @@ def _summary_row(group: RunGroup) -> tuple[Cell, ...]:
         number_cell(max((value for value in percent if value is not None), default=None)),
         _median(rows, "rpe_m"),
         _median(rows, "scale_error_percent"),
-        number_cell(min(_known(rows, "coverage_percent"), default=None), 1),
-        number_cell(max(_known(rows, "start_s"), default=None), 2),
-        number_cell(max(_known(rows, "longest_loss_s"), default=None), 2),
+        number_cell(min(known_values(rows, "coverage_percent"), default=None), 1),
+        number_cell(max(known_values(rows, "start_s"), default=None), 2),
+        number_cell(max(known_values(rows, "longest_loss_s"), default=None), 2),
         replace(number_cell(sigmas, 1), warning="too large" if sigmas is not None and sigmas > MAX_SIGMAS else ""),
         _median([row for row in rows if row.status == "ok"], "cpu_ms_mean", 1),
         _median([row for row in rows if row.status == "ok"], "cpu_ms_p99", 1),
@@ -145,16 +153,16 @@ def _consistency_row(group: RunGroup, nees: AverageNees) -> tuple[Cell, ...]:
 
 def _start_row(group: RunGroup) -> tuple[Cell, ...]:
     rows = group.rows
-    started = _known(rows, "start_s")
-    scale = max((abs(value) for value in _known(rows, "start_scale_error_percent")), default=None)
+    started = known_values(rows, "start_s")
+    scale = max((abs(value) for value in known_values(rows, "start_scale_error_percent")), default=None)
     return (
         *_names(group),
         _count(len(started), "" if len(started) == len(rows) else "not all"),
-        number_cell(_middle(_known(rows, "start_acceleration_m_s2")), 2),
+        number_cell(_middle(known_values(rows, "start_acceleration_m_s2")), 2),
         number_cell(_middle(started), 2),
         number_cell(max(started, default=None), 2),
-        number_cell(_middle(_known(rows, "start_velocity_error_m_s")), 3),
-        number_cell(_middle(_known(rows, "start_speed_m_s")), 2),
+        number_cell(_middle(known_values(rows, "start_velocity_error_m_s")), 3),
+        number_cell(_middle(known_values(rows, "start_speed_m_s")), 2),
         _count(sum(row.started_accurately for row in rows)),
         number_cell(scale, 1),
         _median(rows, "ate_m"),
@@ -196,11 +204,6 @@ def _excess(path: PathSummary | None) -> Cell:
 def _names(group: RunGroup) -> tuple[Cell, Cell, Cell]:
     """Return the cells of scenario, estimator, and number of runs."""
     return Cell(group.scenario), Cell(group.estimator), _count(len(group.rows))
-
-
-def _known(rows: Iterable[Row], column: str) -> list[float]:
-    """Return the values of a column in the runs that have one."""
-    return [value for row in rows if (value := getattr(row, column)) is not None]
 
 
 def _middle(values: Sequence[float]) -> float | None:

@@ -6,10 +6,13 @@ from functools import partial
 
 from markupsafe import Markup
 
+from dronevio.eval.benchmark.metrics import METRICS
 from dronevio.eval.benchmark.outcomes import MAX_SIGMAS
+from dronevio.eval.benchmark.summary import known_values
 from dronevio.eval.metrics import nees_bounds
+from dronevio.eval.metrics.metric import DASH, Metric
 from dronevio.eval.report.benchmark import plots
-from dronevio.eval.report.benchmark.model import BenchmarkResults, Measure, find_measure
+from dronevio.eval.report.benchmark.model import BenchmarkResults
 from dronevio.eval.report.benchmark.overview import (
     LOOP_NOTE,
     SUMMARY_NOTE,
@@ -28,12 +31,12 @@ from dronevio.eval.report.benchmark.tables import (
     run_table,
 )
 from dronevio.eval.report.figures import svg_plot
-from dronevio.eval.report.tables import DASH, Table
+from dronevio.eval.report.tables import Table
 from dronevio.eval.report.templating import Tile, render_page
 
-ATE, DRIFT, NEES = find_measure("ate_m"), find_measure("drift_percent"), find_measure("nees_position")
+ATE, DRIFT, NEES = METRICS["ate_m"], METRICS["drift_percent"], METRICS["nees_position"]
 OPEN_MEASURES = ("ate_m", "drift_percent")
-"""Columns of the measures whose tables are open when the page is loaded."""
+"""Names of the metrics whose tables are open when the page is loaded."""
 _MAX_NARROW_COLUMNS = 3  # estimators of a table that takes half of a wide page
 _MAX_LISTED_RUNS = 2000  # a page with a longer list is slow
 _PLOT_HEIGHT_IN = 2.9
@@ -56,7 +59,7 @@ def benchmark_page(results: BenchmarkResults) -> str:
         summary=summary_table(results),
         summary_note=SUMMARY_NOTE,
         starts=start_table(results),
-        loops=loop_table(results) if any(row.loops is not None for row in results.rows) else None,
+        loops=loop_table(results) if known_values(results.rows, "loops") else None,
         loop_note=LOOP_NOTE,
         measures=_measure_tables(results),
         many_columns=len(results.estimators) > _MAX_NARROW_COLUMNS,
@@ -107,15 +110,15 @@ def _card(results: BenchmarkResults, estimator: str) -> Tile:
     runs = results.runs(estimator)
     scored = sum(row.status == "ok" for row in runs)
     notes = [f"{scored} of {_count(len(runs), 'run')} with scores"]
-    for measure, text in (
+    for metric, text in (
         (DRIFT, "drift {} % of the path length"),
-        (find_measure("coverage_percent"), "coverage {} %"),
-        (find_measure("cpu_ms_mean"), "{} ms per frame"),
+        (METRICS["coverage_percent"], "coverage {} %"),
+        (METRICS["cpu_ms_mean"], "{} ms per frame"),
     ):
-        quartiles = results.quartiles(measure, estimator)
-        notes += [] if quartiles is None else [text.format(measure.text(quartiles.median))]
+        quartiles = results.quartiles(metric, estimator)
+        notes += [] if quartiles is None else [text.format(metric.compared_text(quartiles.median))]
     quartiles = results.quartiles(ATE, estimator)
-    value = DASH if quartiles is None else ATE.text(quartiles.median)
+    value = DASH if quartiles is None else ATE.compared_text(quartiles.median)
     ate_range = "" if quartiles is None else f" {quartile_range(ATE, quartiles)}"
     colour = plots.colour_of(results, estimator)
     unit = ATE.unit if quartiles is not None and math.isfinite(quartiles.median) else ""
@@ -124,17 +127,17 @@ def _card(results: BenchmarkResults, estimator: str) -> Tile:
 
 def _measure_tables(results: BenchmarkResults) -> list[tuple[str, Table, bool]]:
     """Return heading and table of each measure, and whether it is open; open ones come first."""
-    ordered = sorted(results.measures, key=lambda measure: measure.column not in OPEN_MEASURES)
-    return [(m.heading, measure_table(results, m), m.column in OPEN_MEASURES) for m in ordered]
+    ordered = sorted(results.measures, key=lambda metric: metric.name not in OPEN_MEASURES)
+    return [(m.heading, measure_table(results, m), m.name in OPEN_MEASURES) for m in ordered]
 
 
-def _run_plot(results: BenchmarkResults, measure: Measure, expected: tuple[float, float] | None = None) -> Markup:
+def _run_plot(results: BenchmarkResults, metric: Metric, expected: tuple[float, float] | None = None) -> Markup:
     """Return a plot with a dot for each run, and with the medians as its description."""
     height = _ROW_MARGIN_IN + _ROW_HEIGHT_IN * len(results.scenarios) * max(2, len(results.estimators))
-    draw = partial(plots.draw_runs, results=results, measure=measure, title=measure.title, expected=expected)
-    found = ((name, results.quartiles(measure, name)) for name in results.estimators_with(measure))
-    medians = ", ".join(f"{name} {measure.text(q.median)}" for name, q in found if q is not None)
-    return svg_plot(height, draw, f"{measure.heading} of every run; medians {medians}")
+    draw = partial(plots.draw_runs, results=results, metric=metric, title=metric.compared_title, expected=expected)
+    spreads = ((name, results.quartiles(metric, name)) for name in results.estimators_with(metric))
+    medians = ", ".join(f"{name} {metric.compared_text(q.median)}" for name, q in spreads if q is not None)
+    return svg_plot(height, draw, f"{metric.heading} of every run; medians {medians}")
 
 
 def _sub_trajectory_plots(results: BenchmarkResults, scenario: str | None) -> list[Markup]:
@@ -154,8 +157,8 @@ def _sub_trajectory_plots(results: BenchmarkResults, scenario: str | None) -> li
 def _sub_trajectory_plots_by_scenario(results: BenchmarkResults) -> list[tuple[str, list[Markup]]]:
     """Return name and plots of each scenario that has such errors, if there are several scenarios."""
     scenarios = results.scenarios if len(results.scenarios) > 1 else ()
-    found = ((name, _sub_trajectory_plots(results, name)) for name in scenarios)
-    return [(name, of_scenario) for name, of_scenario in found if of_scenario]
+    plots_of = {name: _sub_trajectory_plots(results, name) for name in scenarios}
+    return [(name, drawn) for name, drawn in plots_of.items() if drawn]
 
 
 def _consistency(results: BenchmarkResults) -> dict[str, object] | None:
@@ -163,18 +166,18 @@ def _consistency(results: BenchmarkResults) -> dict[str, object] | None:
     if NEES not in results.measures:
         return None
     low, high = nees_bounds(3)
-    measures = (measure for measure in results.measures if measure.column.startswith("nees"))
+    measures = (metric for metric in results.measures if metric.name.startswith("nees"))
     table = consistency_table(results)
     return {
         "low": low,
         "high": high,
         "table": table,
-        "plots": [_run_plot(results, measure, (low, high)) for measure in measures],
+        "plots": [_run_plot(results, metric, (low, high)) for metric in measures],
     }
 
 
 def _cost_plots(results: BenchmarkResults) -> list[Markup]:
-    if all(row.cpu_ms_mean is None for row in results.rows):
+    if not known_values(results.rows, "cpu_ms_mean"):
         return []
     draw = (plots.draw_costs, plots.draw_cost_histogram)
     return [svg_plot(_PLOT_HEIGHT_IN, partial(function, results=results)) for function in draw]

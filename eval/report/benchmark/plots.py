@@ -14,7 +14,9 @@ from matplotlib.ticker import MaxNLocator
 
 from dronevio.eval import colours
 from dronevio.eval.benchmark.rows import Row
-from dronevio.eval.report.benchmark.model import FAILED, BenchmarkResults, Measure
+from dronevio.eval.benchmark.summary import known_values
+from dronevio.eval.metrics.metric import FAILED, Metric
+from dronevio.eval.report.benchmark.model import BenchmarkResults, value_of
 from dronevio.eval.report.figures import GRID, INK, Boxes, draw_boxes, set_log_scale
 
 Array = npt.NDArray[np.float64]
@@ -39,43 +41,43 @@ def marker_of(results: BenchmarkResults, estimator: str) -> str:
 
 
 def draw_runs(
-    ax: Axes, results: BenchmarkResults, measure: Measure, title: str, expected: tuple[float, float] | None = None
+    ax: Axes, results: BenchmarkResults, metric: Metric, title: str, expected: tuple[float, float] | None = None
 ) -> None:
     """Draw a dot for each run and a bar at each median, with a row per scenario and a column for failed runs.
 
     Args:
         ax: Axes to draw into.
         results: The runs.
-        measure: The figure on the logarithmic x axis.
+        metric: The figure on the logarithmic x axis.
         title: Title of the plot.
         expected: Range in which runs are expected, drawn as a band; None for none.
     """
-    low, high = _limits(results, measure, expected or ())
+    low, high = _limits(results, metric, expected or ())
     failed_x = high * (high / low) ** 0.06
     if expected is not None:
         ax.axvspan(*expected, color=colours.SURROUNDINGS, alpha=0.18, linewidth=0.0)
         ax.axvline(3.0, color=INK, linewidth=0.8, linestyle="--")
-    estimators = results.estimators_with(measure)
+    estimators = results.estimators_with(metric)
     step = 0.76 / max(len(estimators), 2)
     for i, estimator in enumerate(estimators):
         colour, marker = colour_of(results, estimator), marker_of(results, estimator)
         offset = (i - 0.5 * (len(estimators) - 1)) * step
         for k, scenario in enumerate(results.scenarios):
-            quartiles = results.quartiles(measure, estimator, scenario)
+            quartiles = results.quartiles(metric, estimator, scenario)
             if quartiles is None:
                 continue
-            values = [v for row in results.runs(estimator, scenario) if (v := measure.of(row)) is not None]
+            values = [v for row in results.runs(estimator, scenario) if (v := value_of(metric, row)) is not None]
             _draw_dots(ax, k + offset, np.clip(values, low, None), failed_x, colour, marker, step)
             x = failed_x if math.isinf(quartiles.median) else max(quartiles.median, low)
             ax.plot([x, x], [k + offset - 0.4 * step, k + offset + 0.4 * step], color=INK, linewidth=1.4)
         ax.plot([], [], marker, color=colour, markersize=4.0, linestyle="none", label=_shortened(estimator))
     set_log_scale(ax, "x", low, high * (high / low) ** 0.12)
     _label_scenarios(ax, results)
-    if any(row.status != "ok" for row in results.rows) and measure.counts_failed:
+    if any(row.status != "ok" for row in results.rows) and metric.counts_failed:
         ax.axvline(high * (high / low) ** 0.02, color=GRID, linewidth=1.2)
         ax.text(failed_x, -0.75, FAILED, ha="center", va="bottom", fontsize=8.0)
     ax.set_title(title)
-    ax.set_xlabel(measure.heading)
+    ax.set_xlabel(metric.heading)
 
 
 def draw_sub_trajectory_errors(ax: Axes, results: BenchmarkResults, scenario: str | None, kind: Kind) -> None:
@@ -170,9 +172,9 @@ def _use_log_scale_if_wide(ax: Axes, boxes: Iterable[Boxes]) -> None:
         set_log_scale(ax, "y", 0.8 * float(low), 1.25 * float(high))
 
 
-def _limits(results: BenchmarkResults, measure: Measure, others: Iterable[float]) -> tuple[float, float]:
-    """Return the limits of a logarithmic axis for all positive values of a measure, and for other values."""
-    values = [v for row in results.rows if (v := measure.of(row)) is not None and 0.0 < v < math.inf]
+def _limits(results: BenchmarkResults, metric: Metric, others: Iterable[float]) -> tuple[float, float]:
+    """Return the limits of a logarithmic axis for all positive values of a metric, and for other values."""
+    values = [v for row in results.rows if (v := value_of(metric, row)) is not None and 0.0 < v < math.inf]
     values += others
     high = max(values, default=1.0)
     low = max(min(values, default=0.1), high * 10.0**-_MAX_DECADES)
@@ -206,15 +208,15 @@ def _length_label(runs: Iterable[Row], index: int, as_share: bool) -> str:
     rows = [row for row in runs if index < len(row.sub_trajectory_m)]
     lengths_m = np.array([row.sub_trajectory_m[index] for row in rows])
     if as_share:
-        paths_m = np.array([row.path_m or np.nan for row in rows])
+        paths_m = np.array([row["path_m"] or np.nan for row in rows])
         shares = 100.0 * (lengths_m / paths_m)[np.isfinite(paths_m)]
         return f"{np.median(shares):.0f}" if len(shares) else f"{index + 1}"
     return f"{np.median(lengths_m):.3g}"
 
 
-def _finite_values(runs: Iterable[Row], column: str) -> Array:
-    values = (getattr(row, column) for row in runs)
-    return np.array([value for value in values if value is not None and math.isfinite(value)], dtype=np.float64)
+def _finite_values(runs: Iterable[Row], metric: str) -> Array:
+    values = np.array(known_values(runs, metric), dtype=np.float64)
+    return values[np.isfinite(values)]
 
 
 def _shortened(name: str) -> str:

@@ -9,7 +9,8 @@ from dataclasses import replace
 from dronevio.eval.benchmark.outcomes import MAX_SIGMAS
 from dronevio.eval.benchmark.rows import Row
 from dronevio.eval.benchmark.summary import ALL_SCENARIOS, Quartiles
-from dronevio.eval.report.benchmark.model import BenchmarkResults, Measure, seed_ranges
+from dronevio.eval.metrics.metric import DASH, Metric
+from dronevio.eval.report.benchmark.model import BenchmarkResults, seed_ranges, value_of
 from dronevio.eval.report.benchmark.overview import (
     consistency_table,
     loop_table,
@@ -17,7 +18,7 @@ from dronevio.eval.report.benchmark.overview import (
     start_table,
     summary_table,
 )
-from dronevio.eval.report.tables import DASH, Cell, Table, latex_table, latex_text, markdown_table
+from dronevio.eval.report.tables import Cell, Table, latex_table, latex_text, markdown_table
 
 CSV_COLUMNS = (
     "scenario",
@@ -45,11 +46,11 @@ DEFAULT_TABLES = ("measures", "outcomes", "failures")
 _MAX_REASON_LENGTH = 300  # characters; the rows hold the whole reason
 
 
-def measure_table(results: BenchmarkResults, measure: Measure) -> Table:
+def measure_table(results: BenchmarkResults, metric: Metric) -> Table:
     """Return the quartiles of a measure by scenario and over all scenarios, with the best estimator's column first."""
-    rows = tuple(_row(results, measure, scenario) for scenario in results.scenarios)
-    total = _row(results, measure, None) if len(results.scenarios) > 1 else ()
-    return Table(measure.heading, ("scenario", *results.ranking), rows, total)
+    rows = tuple(_row(results, metric, scenario) for scenario in results.scenarios)
+    total = _row(results, metric, None) if len(results.scenarios) > 1 else ()
+    return Table(metric.heading, ("scenario", *results.ranking), rows, total)
 
 
 def failure_table(results: BenchmarkResults) -> Table:
@@ -86,13 +87,13 @@ def loss_table(results: BenchmarkResults) -> Table:
 
 def outcome_table(results: BenchmarkResults) -> Table:
     """Return the runs with an expected outcome: what was expected, and whether each run has it."""
-    found = {verdict.row.identity: verdict for verdict in results.verdicts}
+    verdicts = {verdict.row.identity: verdict for verdict in results.verdicts}
     runs = dict.fromkeys((verdict.row.scenario, verdict.row.seed) for verdict in results.verdicts)
     rows = []
     for scenario, seed in runs:
         cells = []
         for estimator in results.estimators:
-            verdict = found.get((scenario, seed, estimator))
+            verdict = verdicts.get((scenario, seed, estimator))
             if verdict is None:
                 cells.append(Cell(DASH))
             else:
@@ -107,20 +108,20 @@ def outcome_table(results: BenchmarkResults) -> Table:
 
 def run_table(results: BenchmarkResults) -> Table:
     """Return the table of all runs."""
-    shown = [measure for measure in results.measures if measure.column in RUN_COLUMNS]
+    shown = [metric for metric in results.measures if metric.name in RUN_COLUMNS]
     rows = []
     for row in results.rows:
-        values = (measure.of(row) if row.status == "ok" else None for measure in shown)
+        values = (value_of(metric, row) if row.status == "ok" else None for metric in shown)
         cells = (
-            Cell(DASH, order=float("inf")) if value is None else Cell(measure.text(value), order=value)
-            for measure, value in zip(shown, values, strict=True)
+            Cell(DASH, order=float("inf")) if value is None else Cell(metric.compared_text(value), order=value)
+            for metric, value in zip(shown, values, strict=True)
         )
         rows.append((*_run_cells(row), *cells))
-    columns = ("scenario", "seed", "estimator", "status", *(measure.heading for measure in shown))
+    columns = ("scenario", "seed", "estimator", "status", *(metric.heading for metric in shown))
     return Table("All runs", columns, tuple(rows), text_columns=frozenset((2, 3)))
 
 
-def as_markdown(results: BenchmarkResults, measures: Sequence[Measure], names: Sequence[str] = DEFAULT_TABLES) -> str:
+def as_markdown(results: BenchmarkResults, measures: Sequence[Metric], names: Sequence[str] = DEFAULT_TABLES) -> str:
     """Return tables as Markdown.
 
     Args:
@@ -131,13 +132,13 @@ def as_markdown(results: BenchmarkResults, measures: Sequence[Measure], names: S
     return "\n".join([f"{NOTE}\n", *(markdown_table(table) for table in _tables(results, measures, names))])
 
 
-def as_latex(results: BenchmarkResults, measures: Sequence[Measure], names: Sequence[str] = DEFAULT_TABLES) -> str:
+def as_latex(results: BenchmarkResults, measures: Sequence[Metric], names: Sequence[str] = DEFAULT_TABLES) -> str:
     """Return tables as LaTeX, for a document that uses the package booktabs; see `as_markdown`."""
     tables = (latex_table(table) for table in _tables(results, measures, names))
     return "\n".join(["% \\usepackage{booktabs}", f"% {latex_text(NOTE)}", *tables])
 
 
-def as_csv(results: BenchmarkResults, measures: Sequence[Measure]) -> str:
+def as_csv(results: BenchmarkResults, measures: Sequence[Metric]) -> str:
     """Return a line for each scenario, estimator and measure; see `CSV_COLUMNS`."""
     text = io.StringIO()
     writer = csv.DictWriter(text, CSV_COLUMNS, lineterminator="\n")
@@ -146,18 +147,18 @@ def as_csv(results: BenchmarkResults, measures: Sequence[Measure]) -> str:
     return text.getvalue()
 
 
-def records(results: BenchmarkResults, measures: Sequence[Measure]) -> Iterator[dict[str, str | int | float]]:
+def records(results: BenchmarkResults, measures: Sequence[Metric]) -> Iterator[dict[str, str | int | float]]:
     """Yield the values of `CSV_COLUMNS` for each scenario, estimator and measure."""
     for scenario in results.scenarios:
         for estimator in results.estimators:
-            for measure in measures:
-                quartiles = results.quartiles(measure, estimator, scenario)
+            for metric in measures:
+                quartiles = results.quartiles(metric, estimator, scenario)
                 if quartiles is not None:
                     yield {
                         "scenario": scenario,
                         "estimator": estimator,
-                        "measure": measure.column,
-                        "unit": measure.unit,
+                        "measure": metric.name,
+                        "unit": metric.unit or DASH,
                         "runs": quartiles.runs,
                         "failed": quartiles.failed,
                         "median": quartiles.median,
@@ -166,11 +167,11 @@ def records(results: BenchmarkResults, measures: Sequence[Measure]) -> Iterator[
                     }
 
 
-def quartile_range(measure: Measure, quartiles: Quartiles) -> str:
+def quartile_range(metric: Metric, quartiles: Quartiles) -> str:
     """Return lower and upper quartile in parentheses; empty for a single run, or if both fall on failed runs."""
     if quartiles.runs < 2 or (math.isinf(quartiles.lower) and math.isinf(quartiles.upper)):
         return ""
-    return f"({measure.text(quartiles.lower)}–{measure.text(quartiles.upper)})"
+    return f"({metric.compared_text(quartiles.lower)}–{metric.compared_text(quartiles.upper)})"
 
 
 def _shortened(reason: str) -> str:
@@ -178,7 +179,7 @@ def _shortened(reason: str) -> str:
     return line if len(line) <= _MAX_REASON_LENGTH else f"{line[: _MAX_REASON_LENGTH - 1]}…"
 
 
-def _tables(results: BenchmarkResults, measures: Sequence[Measure], names: Sequence[str]) -> list[Table]:
+def _tables(results: BenchmarkResults, measures: Sequence[Metric], names: Sequence[str]) -> list[Table]:
     """Return the tables of some names that have rows."""
     makers: dict[str, Callable[[BenchmarkResults], Table]] = {
         "summary": summary_table,
@@ -206,32 +207,32 @@ def _run_cells(row: Row) -> tuple[Cell, Cell, Cell, Cell]:
 
 def _is_loss(row: Row) -> bool:
     """Return whether a run failed, diverged, left tracking, or erred by too many standard deviations while tracking."""
-    left_tracking = (row.longest_loss_s or 0.0) > 0.0
-    return row.status != "ok" or row.diverged or left_tracking or (row.tracking_sigmas or 0.0) > MAX_SIGMAS
+    left_tracking = (row["longest_loss_s"] or 0.0) > 0.0
+    return row.status != "ok" or row.diverged or left_tracking or (row["tracking_sigmas"] or 0.0) > MAX_SIGMAS
 
 
 def _loss_row(row: Row) -> tuple[Cell, ...]:
-    sigmas = number_cell(row.tracking_sigmas, 1)
+    sigmas = number_cell(row["tracking_sigmas"], 1)
     return (
         *_run_cells(row),
-        number_cell(row.longest_loss_s, 2),
-        replace(sigmas, warning="too large" if (row.tracking_sigmas or 0.0) > MAX_SIGMAS else ""),
-        number_cell(row.coverage_percent, 1),
-        number_cell(row.ate_percent),
+        number_cell(row["longest_loss_s"], 2),
+        replace(sigmas, warning="too large" if (row["tracking_sigmas"] or 0.0) > MAX_SIGMAS else ""),
+        number_cell(row["coverage_percent"], 1),
+        number_cell(row["ate_percent"]),
     )
 
 
-def _row(results: BenchmarkResults, measure: Measure, scenario: str | None) -> tuple[Cell, ...]:
-    best = results.best(measure, scenario)
-    cells = (_cell(results, measure, name, scenario, name in best) for name in results.ranking)
+def _row(results: BenchmarkResults, metric: Metric, scenario: str | None) -> tuple[Cell, ...]:
+    best = results.best(metric, scenario)
+    cells = (_cell(results, metric, name, scenario, name in best) for name in results.ranking)
     return (Cell(ALL_SCENARIOS if scenario is None else scenario), *cells)
 
 
-def _cell(results: BenchmarkResults, measure: Measure, estimator: str, scenario: str | None, best: bool) -> Cell:
-    quartiles = results.quartiles(measure, estimator, scenario)
+def _cell(results: BenchmarkResults, metric: Metric, estimator: str, scenario: str | None, best: bool) -> Cell:
+    quartiles = results.quartiles(metric, estimator, scenario)
     if quartiles is None:
         return Cell(DASH, order=math.inf)
     ending = "runs" if math.isinf(quartiles.median) else "failed"  # the value itself already says that it failed
     failed = f"{quartiles.failed} of {quartiles.runs} {ending}" if quartiles.failed else ""
-    order = quartiles.median if measure.best == "none" else measure.ranking_key(quartiles.median)
-    return Cell(measure.text(quartiles.median), quartile_range(measure, quartiles), failed, best, order)
+    order = quartiles.median if metric.best == "any" else metric.ranking_key(quartiles.median)
+    return Cell(metric.compared_text(quartiles.median), quartile_range(metric, quartiles), failed, best, order)

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 
+from dronevio.eval.metrics.metric import DASH
 from dronevio.eval.report.reconstruction.model import (
     ComponentPositions,
     ReconstructionResults,
     camera_summaries,
     image_summaries,
 )
-from dronevio.eval.report.tables import DASH, Cell, Table
+from dronevio.eval.report.tables import Cell, Table
 from dronevio.eval.report.templating import number
 
 

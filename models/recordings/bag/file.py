@@ -95,10 +95,10 @@ class BagFile:
         with any_as_input_error(self.path):
             connections = [c for c in self._reader.connections if c.topic == topic and c.msgcount]
             if start_ns is None:
-                found = written_messages(self._reader, connections)
+                messages = written_messages(self._reader, connections)
             else:
-                found = self._reader.messages(connections, start=start_ns)
-            for _, logged_ns, raw in found:
+                messages = self._reader.messages(connections, start=start_ns)
+            for _, logged_ns, raw in messages:
                 yield logged_ns, raw
 
     def messages(self, topic: str) -> Iterator[object]:

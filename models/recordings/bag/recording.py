@@ -11,13 +11,14 @@ Opening a bag reads the time stamp of each image; `BagRecording.frame` decodes t
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.defects import Defect, DefectKind
+from dronevio.models.defects import Defect
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel, ImuSamples, Sampling, Times
 from dronevio.models.recordings.bag.file import BagFile
@@ -31,9 +32,9 @@ from dronevio.models.recordings.bag.topics import IMAGE_TYPES, IMU_TYPES, find_t
 from dronevio.models.recordings.bag.truth import read_bag_frame_truth, read_bag_truth
 from dronevio.models.recordings.bag.writer import TRUTH_TOPIC
 from dronevio.models.recordings.bit_depth import MAX_BITS, DeepImage, significant_bits, spread, to_8bit
-from dronevio.models.recordings.frame_groups import ABSENT, FrameGroups, delays_of_frame, grouped_frames
+from dronevio.models.recordings.frame_groups import ABSENT, FrameGroups, grouped_frames
 from dronevio.models.recordings.frame_truth import FrameTruth
-from dronevio.models.recordings.images import DamagedImageError
+from dronevio.models.recordings.images import DamagedImageError, assembled_frame
 from dronevio.models.recordings.repair import (
     IMAGE_STAMPS,
     imu_defects,
@@ -43,7 +44,7 @@ from dronevio.models.recordings.repair import (
 )
 from dronevio.models.recordings.segments import Split, segment_name, split_at_steps, usable_segments
 from dronevio.models.rig import Rig, check_camera_count
-from dronevio.models.state import NO_IMAGE, CameraFrame, Trajectory
+from dronevio.models.state import CameraFrame, Trajectory
 
 Array = npt.NDArray[np.float64]
 
@@ -166,8 +167,8 @@ class BagRecording:
                 defects=defects,
             )
 
-        found = usable_segments(len(split.steps) + 1, segment)
-        first, *later = [replace(each, defects=(*left_out, *each.defects)) for each, left_out in found]
+        segments = usable_segments(len(split.steps) + 1, segment)
+        first, *later = [replace(each, defects=(*left_out, *each.defects)) for each, left_out in segments]
         return replace(first, later=tuple(later))
 
     def frame(self, index: int) -> CameraFrame:
@@ -176,21 +177,11 @@ class BagRecording:
         Raises:
             InputError: An image has another size than in the calibration; or it is damaged, unless `repair` is set.
         """
-        t_ns = int(self.frame_times_ns[index])
-        images: list[npt.NDArray[np.uint8]] = []
-        defects: list[Defect] = []
-        for topic, row, camera in zip(self.images, self.image_rows[index].tolist(), self.rig.cameras, strict=True):
-            image = NO_IMAGE
-            try:
-                if row != ABSENT:
-                    image = topic.image(row, camera.model.width, camera.model.height)
-            except DamagedImageError as error:
-                if not self.repair:
-                    raise
-                defects.append(Defect(DefectKind.DAMAGED_IMAGE, t_ns, error.found))
-            images.append(image)
-        delays_ns = delays_of_frame(self.image_delays_ns[index])
-        return CameraFrame(t_ns, tuple(images), defects=tuple(defects), image_delays_ns=delays_ns)
+        reads = [
+            None if row == ABSENT else partial(topic.image, row, camera.model.width, camera.model.height)
+            for topic, row, camera in zip(self.images, self.image_rows[index].tolist(), self.rig.cameras, strict=True)
+        ]
+        return assembled_frame(int(self.frame_times_ns[index]), reads, self.repair, self.image_delays_ns[index])
 
 
 class ImageTopic:

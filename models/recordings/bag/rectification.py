@@ -37,12 +37,12 @@ def rectifications(rig: Rig) -> tuple[Rectification, ...]:
     are within 30°, and the second camera is beside the first one. Other cameras keep their axes and intrinsics, with
     their lens distortion removed.
     """
-    found: list[Rectification] = []
-    while len(found) < len(rig.cameras):
-        pair = rig.cameras[len(found) : len(found) + 2]
+    by_camera: list[Rectification] = []
+    while len(by_camera) < len(rig.cameras):
+        pair = rig.cameras[len(by_camera) : len(by_camera) + 2]
         both = _of_pair(*pair) if len(pair) == 2 else None
-        found.extend(both or (Rectification(np.eye(3), np.hstack([pair[0].model.K, np.zeros((3, 1))])),))
-    return tuple(found)
+        by_camera.extend(both or (Rectification(np.eye(3), np.hstack([pair[0].model.K, np.zeros((3, 1))])),))
+    return tuple(by_camera)
 
 
 def _of_pair(first: RigCamera, second: RigCamera) -> tuple[Rectification, Rectification] | None:

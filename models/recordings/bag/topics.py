@@ -76,17 +76,18 @@ def image_topics(bag: BagFile, calibrated: Sequence[str]) -> tuple[str, ...]:
         if topic.removesuffix(COMPRESSED) not in available or not topic.endswith(COMPRESSED)
     ]
     # Depth images are excluded.
-    found = tuple(topic for topic in distinct if is_grey_or_colour(cast(ImageMessage, bag.first_message(topic))))
-    if not found:
+    topics = tuple(topic for topic in distinct if is_grey_or_colour(cast(ImageMessage, bag.first_message(topic))))
+    if not topics:
         raise missing(
             bag, f"no camera among the topics {_listed(available or tuple(bag.topics))}", " or ".join(IMAGE_TYPES)
         )
-    if calibrated and len(found) != len(calibrated):
+    if calibrated and len(topics) != len(calibrated):
         raise bag.error(
-            f"{len(found)} topics with images, {_listed(found)}, for the {len(calibrated)} cameras of the calibration",
+            f"{len(topics)} topics with images, {_listed(topics)},"
+            f" for the {len(calibrated)} cameras of the calibration",
             "equal numbers, or a selection (--topics.images)",
         )
-    return found
+    return topics
 
 
 def _requested_imu(bag: BagFile, topics: tuple[str, ...]) -> tuple[str, ...]:
@@ -102,19 +103,21 @@ def _requested_imu(bag: BagFile, topics: tuple[str, ...]) -> tuple[str, ...]:
 
 def _imu_topics(bag: BagFile) -> tuple[str, ...]:
     """Return the topic of the IMU, or those of its gyroscope and accelerometer, or raise InputError."""
-    found = bag.topics_of_type(*IMU_TYPES)
-    if IMU_TOPIC in found:
+    topics = bag.topics_of_type(*IMU_TYPES)
+    if IMU_TOPIC in topics:
         return (IMU_TOPIC,)
-    if not found:
+    if not topics:
         raise missing(bag, f"no IMU among the topics {_listed(tuple(bag.topics))}", IMU_TYPES[0])
-    if len(found) == 1:
-        return _whole(bag, found[0])
-    whole = tuple(topic for topic in found if halves_of(bag, topic) == "both")
+    if len(topics) == 1:
+        return _whole(bag, topics[0])
+    whole = tuple(topic for topic in topics if halves_of(bag, topic) == "both")
     if len(whole) == 1:
         return whole
-    pair = None if whole else pair_of(bag, found)
+    pair = None if whole else pair_of(bag, topics)
     if pair is None:
-        raise bag.error(f"several IMUs, {_listed(found)}", "one, or one gyroscope and one accelerometer (--topics.imu)")
+        raise bag.error(
+            f"several IMUs, {_listed(topics)}", "one, or one gyroscope and one accelerometer (--topics.imu)"
+        )
     return pair
 
 
@@ -130,10 +133,10 @@ def _whole(bag: BagFile, topic: str) -> tuple[str]:
 
 def truth_topic(bag: BagFile) -> str:
     """Return the topic of the ground truth, empty if none has a known name; other odometry may be an estimate."""
-    found = bag.topics_of_type(*POSE_TYPES)
-    if TRUTH_TOPIC in found:
+    topics = bag.topics_of_type(*POSE_TYPES)
+    if TRUTH_TOPIC in topics:
         return TRUTH_TOPIC
-    named = [topic for topic in found if any(name in topic.lower() for name in _TRUTH_NAMES)]
+    named = [topic for topic in topics if any(name in topic.lower() for name in _TRUTH_NAMES)]
     return named[0] if len(named) == 1 else ""
 
 

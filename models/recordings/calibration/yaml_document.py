@@ -82,10 +82,10 @@ class YamlDocument:
     def numbers(self, key: str, *counts: int) -> tuple[float, ...]:
         """Return a list of numbers, whose length is one of the counts, or raise InputError."""
         value = self.values.get(key)
-        found = tuple(item for item in value if isinstance(item, float)) if isinstance(value, tuple) else ()
-        if not isinstance(value, tuple) or len(value) not in counts or len(found) != len(value):
+        numbers = tuple(item for item in value if isinstance(item, float)) if isinstance(value, tuple) else ()
+        if not isinstance(value, tuple) or len(value) not in counts or len(numbers) != len(value):
             raise self.error(key, f"a list of {' or '.join(map(str, counts))} numbers")
-        return found
+        return numbers
 
     def image_size(self, key: str) -> tuple[int, int]:
         """Return width and height [px], or raise InputError."""

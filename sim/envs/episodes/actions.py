@@ -21,6 +21,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 
 from dronevio.models.actions import ACTION_MODES, ActionLimits
 from dronevio.models.errors import ConfigError
@@ -35,22 +36,17 @@ Array = npt.NDArray[np.float64]
 class ActionMode(Protocol):
     """Interface of the inner loops of n vehicles."""
 
-    def reset(self, mask: Mask, states: VehicleStates) -> None:
-        """Start the flights of a mask (n,) at the states of n vehicles."""
+    def start(self, states: VehicleStates) -> Any:
+        """Return the state of the loops at the start of flights: nested tuples of arrays with n rows."""
 
-    def commands(self, actions: Array, states: Callable[[], VehicleStates]) -> Array:
-        """Return commands (n, 4) of rotor speeds [rad/s] for one IMU interval.
+    def commands(self, loops: Any, actions: Array, states: Callable[[], VehicleStates]) -> tuple[Array, Any]:
+        """Return commands (n, 4) of rotor speeds [rad/s] for one IMU interval, and the next state of the loops.
 
         Args:
+            loops: State of the loops.
             actions: (n, 4) Actions within [−1, 1].
             states: Function that returns the current states.
         """
-
-    def state(self) -> Any:
-        """Return the state of the loops, which is not modified later."""
-
-    def restore(self, state: Any) -> None:
-        """Return to a state."""
 
 
 class RotorSpeeds:
@@ -59,18 +55,15 @@ class RotorSpeeds:
     def __init__(self, quadrotor: Quadrotor) -> None:
         self._speeds = [0.0, quadrotor.hover_speed_rad_s, quadrotor.rotor_speed_max_rad_s]
 
-    def reset(self, mask: Mask, states: VehicleStates) -> None:
-        """Do nothing."""
+    def start(self, states: VehicleStates) -> tuple[()]:
+        """Return an empty state."""
+        return ()
 
-    def commands(self, actions: Array, states: Callable[[], VehicleStates]) -> Array:
+    def commands(
+        self, loops: tuple[()], actions: Array, states: Callable[[], VehicleStates]
+    ) -> tuple[Array, tuple[()]]:
         """Return the rotor speeds (n, 4) [rad/s]."""
-        return np.interp(actions, [-1.0, 0.0, 1.0], self._speeds)
-
-    def state(self) -> None:
-        """Return None."""
-
-    def restore(self, state: None) -> None:
-        """Do nothing."""
+        return np.interp(actions, [-1.0, 0.0, 1.0], self._speeds), loops
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,43 +85,33 @@ Law = Callable[[Array, Body, Cascade, CascadeState, ActionLimits], SetPoint]
 class ControlledFlight:
     """Modes with inner loops; implements `ActionMode`."""
 
-    def __init__(self, quadrotor: Quadrotor, limits: ActionLimits, law: Law, count: int, interval_s: float) -> None:
+    def __init__(self, quadrotor: Quadrotor, limits: ActionLimits, law: Law, interval_s: float) -> None:
         """Define vehicle and mode.
 
         Args:
             quadrotor: The vehicle type, whose nominal parameters the loops use.
             limits: Values of actions of ±1.
             law: Meaning of the actions.
-            count: Number of vehicles.
             interval_s: Time between two calls of `commands` [s].
         """
         self._cascade = Cascade(quadrotor, Gains(), interval_s)
         self._limits, self._law = limits, law
-        self._state = self._cascade.at(np.zeros((count, 4)), np.zeros((count, 3)), np.zeros((count, 3)))
 
-    def reset(self, mask: Mask, states: VehicleStates) -> None:
-        """Start the flights of a mask (n,) in steady motion."""
-        steady = self._cascade.at(states.rotor_speed_rad_s, states.velocity_m_s, states.rate_rad_s)
-        self._state = _merged(mask, steady, self._state)
+    def start(self, states: VehicleStates) -> CascadeState:
+        """Return the state of the loops in steady motion."""
+        return self._cascade.at(states.rotor_speed_rad_s, states.velocity_m_s, states.rate_rad_s)
 
-    def commands(self, actions: Array, states: Callable[[], VehicleStates]) -> Array:
-        """Return the rotor speeds (n, 4) [rad/s]."""
+    def commands(
+        self, loops: CascadeState, actions: Array, states: Callable[[], VehicleStates]
+    ) -> tuple[Array, CascadeState]:
+        """Return the rotor speeds (n, 4) [rad/s], and the next state of the loops."""
         now, cascade = states(), self._cascade
         body = Body(now.position_m, now.R_world_vehicle, now.velocity_m_s, now.rate_rad_s)
-        loads = cascade.loads(self._state, body)
-        state = cascade.observe(self._state, body, loads)
-        wanted = self._law(actions, body, cascade, state, self._limits)
-        acceleration = cascade.angular_acceleration(state, body, wanted.R_desired, wanted.rate_rad_s)
-        commands, self._state = cascade.commands(state, loads, wanted.thrust_n / loads.lift, acceleration)
-        return commands
-
-    def state(self) -> CascadeState:
-        """Return the state of the loops, which is not modified later."""
-        return self._state
-
-    def restore(self, state: CascadeState) -> None:
-        """Return to a state."""
-        self._state = state
+        loads = cascade.loads(loops, body)
+        observed = cascade.observe(loops, body, loads)
+        wanted = self._law(actions, body, cascade, observed, self._limits)
+        acceleration = cascade.angular_acceleration(observed, body, wanted.R_desired, wanted.rate_rad_s)
+        return cascade.commands(observed, loads, wanted.thrust_n / loads.lift, acceleration)
 
 
 def _rates(actions: Array, body: Body, cascade: Cascade, state: CascadeState, limits: ActionLimits) -> SetPoint:
@@ -162,14 +145,13 @@ def _velocity(actions: Array, body: Body, cascade: Cascade, state: CascadeState,
 _LAWS: dict[str, Law] = {"rates": _rates, "attitude": _attitude, "velocity": _velocity}
 
 
-def action_mode(name: str, quadrotor: Quadrotor, limits: ActionLimits, count: int, interval_s: float) -> ActionMode:
-    """Return an action mode for n vehicles.
+def action_mode(name: str, quadrotor: Quadrotor, limits: ActionLimits, interval_s: float) -> ActionMode:
+    """Return an action mode.
 
     Args:
         name: One of `ACTION_MODES`.
         quadrotor: The vehicle type.
         limits: Values of actions of ±1.
-        count: Number of vehicles.
         interval_s: Length of an IMU interval [s].
 
     Raises:
@@ -179,7 +161,12 @@ def action_mode(name: str, quadrotor: Quadrotor, limits: ActionLimits, count: in
         raise ConfigError(f"unknown action mode {name!r}; expected one of {', '.join(ACTION_MODES)}")
     if name == "rotors":
         return RotorSpeeds(quadrotor)
-    return ControlledFlight(quadrotor, limits, _LAWS[name], count, interval_s)
+    return ControlledFlight(quadrotor, limits, _LAWS[name], interval_s)
+
+
+def action_space() -> spaces.Space[Any]:
+    """Return the space of the actions of one environment."""
+    return spaces.Box(-1.0, 1.0, (4,), np.float32)
 
 
 def checked_actions(actions: npt.ArrayLike, count: int) -> Array:
@@ -227,8 +214,9 @@ def _turned(vectors: Array, yaw_rad: Array) -> Array:
     return np.stack([c * x - s * y, s * x + c * y, vectors[:, 2]], axis=1)
 
 
-def _merged(mask: Mask, new: Any, old: Any) -> Any:
+def merged(mask: Mask, new: Any, old: Any) -> Any:
     """Return nested tuples of arrays whose rows in a mask (n,) are new and whose other rows are old."""
     if isinstance(new, tuple):
-        return type(new)(*(_merged(mask, a, b) for a, b in zip(new, old, strict=True)))
+        parts = (merged(mask, a, b) for a, b in zip(new, old, strict=True))
+        return type(new)(*parts) if new else new
     return np.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)

@@ -43,7 +43,7 @@ def failures(
     position = states.position_m
     reason = np.zeros(len(position), dtype=np.int64)
     outside = (position < bounds.box_m[0]) | (position > bounds.box_m[1])
-    found = {
+    failed = {
         "no estimate": unestimated,
         "flipped": states.R_world_vehicle[:, 2, 2] < 0.0,
         "out of bounds": outside.any(axis=1),
@@ -52,5 +52,5 @@ def failures(
         "diverged": diverged,
     }
     for name in REASONS[FIRST_FAILURE:]:
-        reason[found[name]] = REASONS.index(name)
+        reason[failed[name]] = REASONS.index(name)
     return reason

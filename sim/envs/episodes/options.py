@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import matrix_from_quat_wxyz
-from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.tasks import AnyTask
 from dronevio.sim.physics.vehicle_states import VehicleStates
 
@@ -36,15 +36,21 @@ _KEYS = (*_STATES, "quat_wxyz", "goal_m", "randomization")
 
 
 def overridden(
-    task: AnyTask, states: VehicleStates, goals: Any, draws: Draws, options: Mapping[str, Any], rows: Rows, count: int
-) -> tuple[VehicleStates, Any, Draws]:
-    """Return initial states, goals and draws of k episodes with given values instead of drawn ones.
+    task: AnyTask,
+    states: VehicleStates,
+    goals: Any,
+    randomized: RandomizedParameters,
+    options: Mapping[str, Any],
+    rows: Rows,
+    count: int,
+) -> tuple[VehicleStates, Any, RandomizedParameters]:
+    """Return initial states, goals and parameters of k episodes, with given values in place of random ones.
 
     Args:
         task: The task.
         states: Drawn initial states of k vehicles.
         goals: Drawn goals of k episodes.
-        draws: Drawn values of the randomization of k episodes.
+        randomized: Randomized parameters of k episodes.
         options: Given values by name; see the module.
         rows: (k,) Indices of the environments.
         count: Number n of all environments.
@@ -63,23 +69,25 @@ def overridden(
         given["R_world_vehicle"] = matrix_from_quat_wxyz(quat)
     if "goal_m" in options:
         goals = task.with_goal(goals, _rows_of("goal_m", options["goal_m"], np.zeros((len(rows), 3)), rows, count))
-    return replace(states, **given), goals, _overridden_draws(draws, options.get("randomization", {}), rows, count)
+    return replace(states, **given), goals, _overridden(randomized, options.get("randomization", {}), rows, count)
 
 
-def _overridden_draws(draws: Draws, values: Mapping[str, Any], rows: Rows, count: int) -> Draws:
-    """Return draws with given values.
+def _overridden(
+    randomized: RandomizedParameters, values: Mapping[str, Any], rows: Rows, count: int
+) -> RandomizedParameters:
+    """Return randomized parameters with given values.
 
     Raises:
         ConfigError: A name is unknown, or a value has a wrong shape or is not finite.
     """
-    known = [field.name for field in fields(draws)]
+    known = [field.name for field in fields(randomized)]
     for name in values:
         if name not in known:
             raise ConfigError(f"unknown randomization {name!r} in the options; expected some of {', '.join(known)}")
     given: dict[str, Any] = {
-        name: _rows_of(name, value, getattr(draws, name), rows, count) for name, value in values.items()
+        name: _rows_of(name, value, getattr(randomized, name), rows, count) for name, value in values.items()
     }
-    return replace(draws, **given)
+    return replace(randomized, **given)
 
 
 def _rows_of(name: str, value: Any, drawn: Array, rows: Rows, count: int) -> Array:

@@ -63,7 +63,7 @@ class Randomization:
                     "Uniform(…, …)"
                 )
 
-    def draw(self, rng: np.random.Generator, count: int, world_seed: int) -> "Draws":
+    def draw(self, rng: np.random.Generator, count: int, world_seed: int) -> "RandomizedParameters":
         """Return independent values for ``count`` episodes.
 
         Args:
@@ -74,7 +74,7 @@ class Randomization:
         one, three = (count,), (count, 3)
         angle = rng.uniform(-np.pi, np.pi, count)
         speed = self.wind_m_s.sample(rng, one)
-        return Draws(
+        return RandomizedParameters(
             mass=self.mass.sample(rng, one),
             inertia=self.inertia.sample(rng, three),
             rotor_time_constant=self.rotor_time_constant.sample(rng, one),
@@ -92,8 +92,8 @@ class Randomization:
 
 
 @dataclass(frozen=True, eq=False)
-class Draws(Table):
-    """Values that were drawn for n episodes."""
+class RandomizedParameters(Table):
+    """Randomized parameters of n episodes."""
 
     mass: Array
     """(n,) Factors of the mass."""

@@ -6,7 +6,8 @@ at which it was trained. The action modes of the environments turn its actions i
 """
 
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,13 +16,13 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import Controller
 from dronevio.models.quadrotor import Quadrotor
-from dronevio.models.rotation import inverse_pose
 from dronevio.models.state import NavState
 from dronevio.sim.envs.episodes.actions import action_mode
 from dronevio.sim.envs.episodes.endings import failures
-from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.policies.mission import PolicyMission
-from dronevio.sim.envs.sensing.observations import Situation, limits_of, observation_named
+from dronevio.sim.envs.sensing.estimator_loop import Perceived
+from dronevio.sim.envs.sensing.observations import ObservedState, limits_of, observation_named
 from dronevio.sim.envs.tasks import Objective, Transition
 from dronevio.sim.paths.path import Reference
 from dronevio.sim.physics.controller import SE3Controller
@@ -45,8 +46,6 @@ OBSERVED_IN_FLIGHT = (
     "last_action",
 )
 """Observations that a drone in flight has: its state, the commands so far, the IMU, and the goals."""
-
-_ALL = np.ones(1, dtype=np.bool_)
 
 
 class PolicyPilot:
@@ -72,24 +71,20 @@ class PolicyPilot:
                 f"actions at {policy.action_rate_hz:g} Hz with an IMU at {rig.imu.rate_hz:g} Hz; expected a fraction"
                 " 1/k of it, k = 1, 2, 3"
             )
-        self._policy, self._mission, self._goals = policy, mission, mission.goals
-        self._intervals, self._interval_s = round(intervals), 1.0 / rig.imu.rate_hz
-        self._mode = action_mode(policy.action_mode, quadrotor, policy.action_limits, 1, self._interval_s)
+        self._mission, self._intervals, self._interval_s = mission, round(intervals), 1.0 / rig.imu.rate_hz
+        self._mode = action_mode(policy.action_mode, quadrotor, policy.action_limits, self._interval_s)
         self._rotors = _RotorModel(quadrotor, self._interval_s)
-        self._T_vehicle_imu, self._T_imu_vehicle = rig.T_vehicle_imu, inverse_pose(rig.T_vehicle_imu)
         self._imu: deque[Array] = deque([np.zeros(6)] * self._intervals, self._intervals)
-        limits = limits_of(mission.area, self._objective(0.0), quadrotor, self._intervals)
+        self._flown = _Flown(mission.goals)
+        limits = limits_of(mission.area, self._objective(mission.goals), quadrotor, self._intervals)
         self._named = {name: observation_named(name, limits) for name in policy.names}
-        self._draws = Draws.nominal(1, mission.scenario.seed)
+        self._draws = RandomizedParameters.nominal(1, mission.scenario.seed)
         self._limits = replace(mission.bounds, box_m=np.array([[-np.inf] * 3, [np.inf] * 3]))
-        self._calls, self._failed = 0, False
-        self._action, self._before = np.zeros((1, 4)), VehicleStates.at(np.zeros((1, 3)))
-        self._began_ns: int | None = None
 
     @property
     def began_ns(self) -> int | None:
         """Time of the first state that the policy received [ns]; None before."""
-        return self._began_ns
+        return self._flown.began_ns
 
     @property
     def finished(self) -> bool:
@@ -97,8 +92,8 @@ class PolicyPilot:
 
         The task is accomplished, its time limit is reached, or the vehicle is upside down or on the ground.
         """
-        task = self._mission.task
-        return self._t_s >= task.episode_s - 1e-9 or bool(task.finished(self._goals)[0]) or self._failed
+        task, flown = self._mission.task, self._flown
+        return self._t_s >= task.episode_s - 1e-9 or bool(task.finished(flown.goals)[0]) or flown.failed
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Add the IMU samples since the last call."""
@@ -120,15 +115,20 @@ class PolicyPilot:
 
         Args:
             state: True or estimated state of the IMU in the world, with its angular velocity.
+
+        Raises:
+            ConfigError: The state has no angular velocity.
         """
-        now = self._states(state)
-        if self._began_ns is None:
-            self._began_ns = state.t_ns
-            self._mode.reset(_ALL, now)
-        if self._calls % self._intervals == 0:
-            self._act(state, now)
-        self._calls += 1
-        return self.commanded(self._mode.commands(self._action, lambda: now)[0])
+        rotating = VehicleStates.at(np.zeros((1, 3)), rotor_speed_rad_s=self._rotors.speeds_rad_s)
+        now = Perceived.of(state, self._mission.scenario.rig.T_vehicle_imu).states(rotating)
+        flown = self._flown
+        if flown.began_ns is None:
+            flown = replace(flown, began_ns=state.t_ns, loops=self._mode.start(now))
+        if flown.calls % self._intervals == 0:
+            flown = self._acting(flown, state, now)
+        commands, loops = self._mode.commands(flown.loops, flown.action, lambda: now)
+        self._flown = replace(flown, calls=flown.calls + 1, loops=loops)
+        return self.commanded(commands[0])
 
     def commanded(self, command: Array) -> Array:
         """Return rotor commands (4,) [rad/s], after they have been applied to the model of the rotors."""
@@ -138,46 +138,51 @@ class PolicyPilot:
     @property
     def _t_s(self) -> float:
         """Time since the first state that the policy received [s]."""
-        return self._calls * self._interval_s
+        return self._flown.calls * self._interval_s
 
-    def _act(self, state: NavState, now: VehicleStates) -> None:
-        """Update the goals by the motion since the last action, and choose a new action."""
-        task, area, t_s = self._mission.task, self._mission.area, np.array([self._t_s])
-        previous, nothing = self._action, np.zeros(1, np.bool_)
-        self._failed = bool(failures(now, nothing, nothing, nothing, self._limits)[0])
-        if self._calls:
-            step = Transition(self._before, now, previous, previous, t_s, nothing)
-            self._goals = task.advance(area, self._goals, step)
-        bias = np.concatenate([state.gyro_bias_rad_s, state.accel_bias_m_s2])
-        situation = Situation(
+    def _acting(self, flown: "_Flown", state: NavState, now: VehicleStates) -> "_Flown":
+        """Return the flight with goals updated by the motion since the last action, and a new action."""
+        mission, goals, nothing = self._mission, flown.goals, np.zeros(1, np.bool_)
+        if flown.calls:
+            step = Transition(flown.before, now, flown.action, flown.action, np.array([self._t_s]), nothing)
+            goals = mission.task.advance(mission.area, goals, step)
+        observed = ObservedState(
             now,
-            self._objective(self._t_s),
+            self._objective(goals),
             np.array(self._imu)[None],
-            bias[None],
+            np.concatenate([state.gyro_bias_rad_s, state.accel_bias_m_s2])[None],
             lambda: np.zeros((1, 3)),
-            previous,
+            flown.action,
             self._draws,
         )
-        observation = {name: one.observe(situation) for name, one in self._named.items()}
-        self._action = np.asarray(self._policy.action(observation), dtype=np.float64)
-        self._before = now
+        observation = {name: one.observe(observed) for name, one in self._named.items()}
+        action = np.asarray(mission.policy.action(observation), dtype=np.float64)
+        failed = bool(failures(now, nothing, nothing, nothing, self._limits)[0])
+        return replace(flown, goals=goals, action=action, before=now, failed=failed)
 
-    def _objective(self, t_s: float) -> Objective:
-        """Return the current and the following goals at a time since the policy began [s]."""
-        return self._mission.task.objective(self._mission.area, self._goals, np.array([t_s]))
+    def _objective(self, goals: Any) -> Objective:
+        """Return the current and the following goals."""
+        return self._mission.task.objective(self._mission.area, goals, np.array([self._t_s]))
 
-    def _states(self, state: NavState) -> VehicleStates:
-        """Return the state of the vehicle, given that of the IMU.
 
-        Raises:
-            ConfigError: The state has no angular velocity.
-        """
-        if state.angular_velocity_rad_s is None:
-            raise ConfigError("state without angular velocity; expected one, since the policy observes the rates")
-        T = state.T_world_imu @ self._T_imu_vehicle
-        R, rate = T[:3, :3], self._T_vehicle_imu[:3, :3] @ state.angular_velocity_rad_s
-        velocity = state.velocity_m_s - R @ np.cross(rate, self._T_vehicle_imu[:3, 3])
-        return VehicleStates.at(T[None, :3, 3], R, velocity, rate, self._rotors.speeds_rad_s)
+@dataclass(frozen=True, eq=False)
+class _Flown:
+    """Flight of a policy so far."""
+
+    goals: Any
+    """Goals and progress of the task."""
+    calls: int = 0
+    """Number of commands."""
+    began_ns: int | None = None
+    """Time of the first state [ns]."""
+    loops: Any = ()
+    """State of the inner control loops."""
+    action: Array = field(default_factory=lambda: np.zeros((1, 4)))
+    """(1, 4) Last action."""
+    before: VehicleStates = field(default_factory=lambda: VehicleStates.at(np.zeros((1, 3))))
+    """State at the last action."""
+    failed: bool = False
+    """Whether the vehicle was upside down or on the ground at the last action."""
 
 
 class _TakeOff:

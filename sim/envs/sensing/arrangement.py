@@ -7,6 +7,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from dronevio.sim.envs.sensing.camera_observation import Images
+from dronevio.sim.envs.sensing.observations import Observation, ObservedState
+
 POLICY, CRITIC = "policy", "critic"
 """Names of the two entries of an observation with privileged observations."""
 
@@ -15,17 +18,24 @@ class Arrangement:
     """Space of the observations of an environment, and the composition of observations of many environments."""
 
     def __init__(
-        self, boxes: Mapping[str, spaces.Box], policy: tuple[str, ...], privileged: tuple[str, ...], flat: bool
+        self,
+        named: Mapping[str, Observation],
+        images: Mapping[str, spaces.Box],
+        policy: tuple[str, ...],
+        privileged: tuple[str, ...],
+        flat: bool,
     ) -> None:
         """Define names and form.
 
         Args:
-            boxes: Spaces of the named observations of one environment.
+            named: Observations other than images by name.
+            images: Spaces of the images of one environment by name.
             policy: Names of the observations of the policy.
             privileged: Names of the observations of the critic; without any, there is no entry for a critic.
             flat: Whether the observations are concatenated to one vector, in the order of the names.
         """
-        self._policy, self._privileged, self._flat = policy, privileged, flat
+        self._named, self._policy, self._privileged, self._flat = named, policy, privileged, flat
+        boxes = {**{name: one.space for name, one in named.items()}, **images}
         self.shapes: dict[str, tuple[int, ...]] = {name: boxes[name].shape for name in policy}
         """Shapes of the observations of the policy by name, in order."""
         self.space: spaces.Space[Any] = self._space(boxes, policy)
@@ -33,15 +43,16 @@ class Arrangement:
         if privileged:
             self.space = spaces.Dict({POLICY: self.space, CRITIC: self._space(boxes, privileged)})
 
-    def arranged(self, values: Mapping[str, npt.NDArray[Any]], privileged: Mapping[str, npt.NDArray[Any]]) -> Any:
+    def observe(self, seen: ObservedState, true: ObservedState, images: Images) -> Any:
         """Return the observations of n environments.
 
         Args:
-            values: Arrays of n rows by the names of the observations of the policy.
-            privileged: Arrays of n rows by the names of the observations of the critic.
+            seen: What the policy perceives.
+            true: What the critic knows.
+            images: Arrays (n, H, W, C) by name.
         """
-        policy = self._composed(values, self._policy)
-        return {POLICY: policy, CRITIC: self._composed(privileged, self._privileged)} if self._privileged else policy
+        policy = self._composed(seen, images, self._policy)
+        return {POLICY: policy, CRITIC: self._composed(true, images, self._privileged)} if self._privileged else policy
 
     def _space(self, boxes: Mapping[str, spaces.Box], names: tuple[str, ...]) -> spaces.Space[Any]:
         """Return the space of some observations."""
@@ -51,11 +62,14 @@ class Arrangement:
         high = np.concatenate([boxes[name].high.ravel() for name in names])
         return spaces.Box(low, high, low.shape, np.float32)
 
-    def _composed(self, values: Mapping[str, npt.NDArray[Any]], names: tuple[str, ...]) -> Any:
+    def _composed(self, situation: ObservedState, images: Images, names: tuple[str, ...]) -> Any:
         """Return the values of some observations."""
+        values = {
+            name: self._named[name].observe(situation) if name in self._named else images[name].copy() for name in names
+        }
         if not self._flat:
-            return {name: values[name].copy() for name in names}
-        return np.concatenate([values[name].reshape(len(values[name]), -1) for name in names], axis=1)
+            return values
+        return np.concatenate([value.reshape(len(value), -1) for value in values.values()], axis=1)
 
 
 def rows_of(observations: Any, rows: npt.NDArray[np.intp] | int) -> Any:

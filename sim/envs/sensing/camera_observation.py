@@ -49,21 +49,6 @@ class CameraObservation(Protocol):
         """Release the resources of rendering; further calls have no effect."""
 
 
-class NoCameraObservation:
-    """No images; implements `CameraObservation`."""
-
-    def spaces(self) -> dict[str, spaces.Box]:
-        """Return no spaces."""
-        return {}
-
-    def observe(self, T_world_imu: Array, t_ns: Times | None = None) -> Images:
-        """Return no images."""
-        return {}
-
-    def close(self) -> None:
-        """Do nothing."""
-
-
 @dataclass(frozen=True)
 class ImageSettings(Settings):
     """Kinds and size of the images of an environment."""

@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Perceived:
-    """State of one vehicle as an estimator knows it."""
+    """State of one vehicle, given that of its IMU."""
 
     T_world_vehicle: Array
     """(4, 4) Pose of the vehicle."""
@@ -46,10 +46,7 @@ class Perceived:
         """
         T = np.asarray(state.T_world_imu @ inverse_pose(T_vehicle_imu))
         if state.angular_velocity_rad_s is None:
-            raise ConfigError(
-                "state_at of the estimator returns a state without angular velocity; expected one, since the inner"
-                " control loops damp it"
-            )
+            raise ConfigError("a state without angular velocity; expected one, since the inner control loops damp it")
         rate = T_vehicle_imu[:3, :3] @ state.angular_velocity_rad_s
         velocity = state.velocity_m_s - T[:3, :3] @ cross(rate, T_vehicle_imu[:3, 3])
         return cls(T, velocity, rate, np.concatenate([state.gyro_bias_rad_s, state.accel_bias_m_s2]))

@@ -1,15 +1,15 @@
 """Images of many environments at a rate of their own, with mounting errors of the cameras and randomized appearance."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 
 from dronevio.models.imu import Times
 from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.sensing.camera_observation import CameraObservation, Images
 from dronevio.sim.physics.vehicle_states import Mask
 
@@ -17,68 +17,68 @@ Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
 
 
+@dataclass(frozen=True, eq=False)
 class HeldImages:
-    """Images of n environments.
+    """Images of n environments, each of which is shown for some steps."""
 
-    An image is taken at the start of an episode and every ``period`` steps; in between, the last one is repeated.
-    """
+    due_in: npt.NDArray[np.int64]
+    """(n,) Number of steps until the next image; 0 or less if it is due."""
+    images: Images
+    """(n, H, W, C) Newest images by name."""
 
-    def __init__(
-        self, count: int, period: int, make_source: Callable[[int], CameraObservation], texture_seed: int
-    ) -> None:
+    def demanded(self, mask: Mask) -> "HeldImages":
+        """Return the images with new ones due in a mask (n,)."""
+        return replace(self, due_in=np.where(mask, 0, self.due_in))
+
+    def one_step_later(self) -> "HeldImages":
+        """Return the images after a step."""
+        return replace(self, due_in=self.due_in - 1)
+
+
+class ImageRenderer:
+    """Renders the images of environments: one at the start of an episode, and one every ``period`` steps."""
+
+    def __init__(self, period: int, make_source: Callable[[int], CameraObservation], texture_seed: int) -> None:
         """Define cameras and rate; nothing is rendered yet.
 
         Args:
-            count: Number n of environments.
             period: Number of steps from one image to the next.
             make_source: Function that returns the renderer of the world with a seed of its textures.
             texture_seed: A seed of textures.
         """
         self._period, self._make_source = period, make_source
         self._sources = {texture_seed: make_source(texture_seed)}
-        self._spaces = self._sources[texture_seed].spaces()
-        self._age = np.full(count, period, dtype=np.int64)  # steps since the last image
-        self._images: Images = {
-            name: np.zeros((count, *space.shape), space.dtype) for name, space in self._spaces.items()
-        }
+        self.spaces = self._sources[texture_seed].spaces()
+        """Spaces of the images of one environment by name."""
 
-    def spaces(self) -> dict[str, spaces.Box]:
-        """Return the spaces of the images of one environment."""
-        return self._spaces
+    def start(self, count: int) -> HeldImages:
+        """Return black images of ``count`` environments, all of them due."""
+        black = {name: np.zeros((count, *space.shape), space.dtype) for name, space in self.spaces.items()}
+        return HeldImages(np.zeros(count, dtype=np.int64), black)
 
-    def reset(self, mask: Mask) -> None:
-        """Demand new images of the environments of a mask (n,)."""
-        self._age = np.where(mask, self._period, self._age)
-
-    def step(self) -> None:
-        """Count a step."""
-        self._age = self._age + 1
-
-    def observe(self, T_world_imu: Array, t_ns: Times, draws: Draws) -> Images:
-        """Return the images (n, H, W, C) by name, rendering those that are due.
+    def renewed(self, held: HeldImages, T_world_imu: Array, t_ns: Times, draws: RandomizedParameters) -> HeldImages:
+        """Return the images after those that are due have been rendered.
 
         Args:
+            held: Images of n environments.
             T_world_imu: (n, 4, 4) Poses of the IMUs.
             t_ns: (n,) Times since the starts of the episodes [ns].
-            draws: Mounting errors, light and textures of the episodes.
+            draws: Parameters of the episodes: mounting errors, light and textures.
 
         Raises:
             GraphicsError: Off-screen OpenGL is not available.
         """
-        due = np.flatnonzero(self._age >= self._period)
+        due = np.flatnonzero(held.due_in <= 0)
+        if not due.size:
+            return held
+        images = {name: image.copy() for name, image in held.images.items()}
         for seed in np.unique(draws.texture_seed[due]).tolist():
-            self._render(due[draws.texture_seed[due] == seed], T_world_imu, t_ns, draws, self._source(seed))
-        self._age[due] = 0
-        return {name: image.copy() for name, image in self._images.items()}
-
-    def save(self) -> dict[str, Any]:
-        """Return a copy of images and their ages."""
-        return {"age": self._age.copy(), "images": {name: image.copy() for name, image in self._images.items()}}
-
-    def restore(self, saved: dict[str, Any]) -> None:
-        """Return to a state of `save`."""
-        self._age = saved["age"].copy()
-        self._images = {name: image.copy() for name, image in saved["images"].items()}
+            rows = due[draws.texture_seed[due] == seed]
+            for name, image in self._rendered(rows, T_world_imu, t_ns, draws, self._source(seed)).items():
+                images[name][rows] = image
+        due_in = held.due_in.copy()
+        due_in[due] = self._period
+        return HeldImages(due_in, images)
 
     def close(self) -> None:
         """Release the resources of rendering; further calls have no effect."""
@@ -91,11 +91,13 @@ class HeldImages:
             self._sources[texture_seed] = self._make_source(texture_seed)
         return self._sources[texture_seed]
 
-    def _render(self, rows: Rows, T_world_imu: Array, t_ns: Times, draws: Draws, source: CameraObservation) -> None:
-        """Render the images of some environments."""
+    def _rendered(
+        self, rows: Rows, T_world_imu: Array, t_ns: Times, draws: RandomizedParameters, source: CameraObservation
+    ) -> Images:
+        """Return the images of some environments."""
         error = pose_matrix(exp_so3(draws.camera_rotation_rad[rows]), draws.camera_translation_m[rows])
-        for name, image in source.observe(T_world_imu[rows] @ error, t_ns[rows]).items():
-            self._images[name][rows] = _lit(image, draws.light[rows])
+        images = source.observe(T_world_imu[rows] @ error, t_ns[rows])
+        return {name: _lit(image, draws.light[rows]) for name, image in images.items()}
 
 
 def _lit(images: npt.NDArray[Any], light: Array) -> npt.NDArray[Any]:

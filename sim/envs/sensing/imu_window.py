@@ -48,7 +48,7 @@ class ImuWindow:
         rows = np.flatnonzero(mask)
         self._errors.reset(mask)
         perfect = self._perfect()[rows]
-        sensed = self._errors.first(perfect, rows, self._plant.rotor_speeds_rad_s[rows])
+        sensed = self._errors.first(perfect, rows, self._plant.now.rotors.speed_rad_s[rows])
         first, bias = _scaled(perfect, *sensed, factor[rows])
         self.samples[rows], self.bias[rows] = first[:, None], bias
 
@@ -60,7 +60,7 @@ class ImuWindow:
             factor: (n,) Factors of the errors.
         """
         perfect = self._perfect()
-        sensed = self._errors.add_to(perfect, self._plant.rotor_speeds_rad_s)
+        sensed = self._errors.add_to(perfect, self._plant.now.rotors.speed_rad_s)
         sample, self.bias = _scaled(perfect, *sensed, factor)
         self.samples[:, interval] = sample
         return sample
@@ -70,17 +70,17 @@ class ImuWindow:
         self.samples[:] = self.samples[:, -1:]
 
     def save(self) -> dict[str, Any]:
-        """Return the state of window, errors and random numbers."""
-        return {"errors": self._errors.save(), "samples": self.samples, "bias": self.bias}
+        """Return the state of window, errors and random numbers, with arrays of its own."""
+        return {"errors": self._errors.save(), "samples": self.samples.copy(), "bias": self.bias.copy()}
 
     def restore(self, saved: dict[str, Any]) -> None:
         """Return to a state of `save`."""
         self._errors.restore(saved["errors"])
-        self.samples, self.bias = saved["samples"], saved["bias"]
+        self.samples, self.bias = saved["samples"].copy(), saved["bias"].copy()
 
     def _perfect(self) -> Array:
         """Return the noise-free IMU samples (n, 6) of the current time."""
-        samples = self._plant.samples
+        samples = self._plant.now.samples
         return np.concatenate([samples.gyro_rad_s, samples.accel_m_s2], axis=1)
 
 

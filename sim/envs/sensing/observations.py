@@ -41,7 +41,7 @@ from gymnasium import spaces
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rotation import quat_wxyz_from_matrix
-from dronevio.sim.envs.episodes.randomization import Draws
+from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.sensing.camera_observation import ImageKind
 from dronevio.sim.envs.tasks.task import Objective
 from dronevio.sim.paths.space import FlightArea
@@ -68,8 +68,8 @@ _CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])  # alo
 
 
 @dataclass(frozen=True, eq=False)
-class Situation:
-    """Everything at one time that the observations of n environments are made of."""
+class ObservedState:
+    """State from which the observations of n environments are computed."""
 
     states: VehicleStates
     """States of the vehicles, true or estimated."""
@@ -83,8 +83,8 @@ class Situation:
     """Function that returns the velocities (n, 3) of the air in the world frame [m/s]."""
     last_action: Array
     """(n, 4) Actions of the last step."""
-    draws: Draws
-    """Values of the randomization."""
+    randomized: RandomizedParameters
+    """Randomized parameters of the episodes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,12 +134,12 @@ class Observation:
 
     space: spaces.Box
     """Space of one environment, of type float32."""
-    values: Callable[[Situation], Array]
+    values: Callable[[ObservedState], Array]
     """Function that returns the values of n environments, before clipping."""
 
-    def observe(self, situation: Situation) -> Array32:
+    def observe(self, state: ObservedState) -> Array32:
         """Return the values of n environments within the space."""
-        return np.clip(self.values(situation), self.space.low, self.space.high).astype(np.float32)
+        return np.clip(self.values(state), self.space.low, self.space.high).astype(np.float32)
 
 
 def observation_named(name: str, limits: Limits) -> Observation:
@@ -209,7 +209,7 @@ def _imu(limits: Limits) -> Observation:
 
 
 def _goals(limits: Limits) -> Observation:
-    def values(s: Situation) -> Array:
+    def values(s: ObservedState) -> Array:
         return _in_vehicle(s.states, s.objective.position_m - s.states.position_m[:, None])
 
     return Observation(_symmetric((limits.goals, 3), limits.reach_m), values)
@@ -219,7 +219,7 @@ def _gates(limits: Limits) -> Observation:
     if not limits.has_gates:
         raise ConfigError("observation 'gates' of a task without gates; expected the task 'race'")
 
-    def values(s: Situation) -> Array:
+    def values(s: ObservedState) -> Array:
         ahead, middle = s.objective.direction, s.objective.position_m
         side = np.stack([-ahead[..., 1], ahead[..., 0], np.zeros_like(ahead[..., 0])], axis=-1)
         across, up = (_CORNERS * s.objective.size_m[..., None, None]).transpose(3, 0, 1, 2)
@@ -236,9 +236,9 @@ def _last_action(limits: Limits) -> Observation:
 
 
 def _parameters(limits: Limits) -> Observation:
-    def values(s: Situation) -> Array:
+    def values(s: ObservedState) -> Array:
         n = len(s.last_action)
-        return np.concatenate([getattr(s.draws, name).reshape(n, -1) for name in _PARAMETERS], axis=1)
+        return np.concatenate([getattr(s.randomized, name).reshape(n, -1) for name in _PARAMETERS], axis=1)
 
     return Observation(_symmetric((_PARAMETERS_WIDTH,), _PARAMETERS_BOUND), values)
 

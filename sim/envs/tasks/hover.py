@@ -7,11 +7,12 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.quadrotor import Quadrotor
-from dronevio.models.ranges import Range, Settings
+from dronevio.models.ranges import Range
 from dronevio.sim.envs.tasks.task import (
     Mask,
     Objective,
     Start,
+    TaskSettings,
     Transition,
     action_change,
     closeness,
@@ -37,7 +38,7 @@ class HoverGoals(Table):
 
 
 @dataclass(frozen=True)
-class Hover(Settings):
+class Hover(TaskSettings):
     """Bring a disturbed quadrotor to a point 1.2 m above the landing pad and keep it there: ``dronevio/Hover-v0``.
 
     ## Description
@@ -89,8 +90,6 @@ force [m/s²] in the IMU's frame, with noise and biases |
     """Names of the default observations."""
     default_action: ClassVar[str] = "rotors"
     """Name of the default action mode."""
-    lands: ClassVar[bool] = False
-    """Whether standing on the ground is part of the task."""
 
     world: str = "room"
     """Name of the world."""
@@ -110,10 +109,6 @@ force [m/s²] in the IMU's frame, with noise and biases |
     """Weight of the mean squared change of the action."""
     obstacles: bool = False
     """Whether the obstacles of the world are part of the physics; there are none in the free space of a world."""
-
-    def bounds_m(self, area: FlightArea) -> Array:
-        """Return the free box (2, 3) of the world [m]."""
-        return area.free_box
 
     def begin(
         self, area: FlightArea, quadrotor: Quadrotor, rng: np.random.Generator, count: int
@@ -138,10 +133,6 @@ force [m/s²] in the IMU's frame, with noise and biases |
             "closeness": closeness(step.after, goals.target_m, self.distance_scale_m, self.rate_scale_rad_s),
             "smoothness": -self.smoothness * action_change(step),
         }
-
-    def finished(self, goals: HoverGoals) -> Mask:
-        """Return False everywhere: hovering goes on until the time limit."""
-        return np.zeros(len(goals), dtype=np.bool_)
 
     def success(self, area: FlightArea, goals: HoverGoals, step: Transition) -> Mask:
         """Return which vehicles keep their targets."""

@@ -9,11 +9,12 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
-from dronevio.models.ranges import Range, Settings
+from dronevio.models.ranges import Range
 from dronevio.sim.envs.tasks.task import (
     Mask,
     Objective,
     Start,
+    TaskSettings,
     Transition,
     approach_m,
     distance_m,
@@ -43,7 +44,7 @@ class NavigateGoals(Table):
 
 
 @dataclass(frozen=True)
-class Navigate(Settings):
+class Navigate(TaskSettings):
     """Reach a goal among the trees of a forest by a depth camera: ``dronevio/Navigate-v0``.
 
     ## Description
@@ -97,8 +98,6 @@ class Navigate(Settings):
     """Names of the default observations."""
     default_action: ClassVar[str] = "velocity"
     """Name of the default action mode."""
-    lands: ClassVar[bool] = False
-    """Whether standing on the ground is part of the task."""
 
     world: str = "forest"
     """Name of the world."""
@@ -161,10 +160,6 @@ class Navigate(Settings):
         }
 
     def finished(self, goals: NavigateGoals) -> Mask:
-        """Return which goals have been reached."""
-        return goals.reached
-
-    def success(self, area: FlightArea, goals: NavigateGoals, step: Transition) -> Mask:
         """Return which goals have been reached."""
         return goals.reached
 

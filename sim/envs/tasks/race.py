@@ -8,15 +8,8 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
-from dronevio.models.ranges import Range, Settings
-from dronevio.sim.envs.tasks.task import (
-    Mask,
-    Objective,
-    Start,
-    Transition,
-    penalties,
-    weighted,
-)
+from dronevio.models.ranges import Range
+from dronevio.sim.envs.tasks.task import Mask, Objective, Start, TaskSettings, Transition, penalties, weighted
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import Table, VehicleStates
 
@@ -42,7 +35,7 @@ class RaceGoals(Table):
 
 
 @dataclass(frozen=True)
-class Race(Settings):
+class Race(TaskSettings):
     """Fly three laps through the gates of a race course: ``dronevio/Race-v0``.
 
     ## Description
@@ -101,8 +94,6 @@ frame [m] |
     """Names of the default observations."""
     default_action: ClassVar[str] = "rates"
     """Name of the default action mode."""
-    lands: ClassVar[bool] = False
-    """Whether standing on the ground is part of the task."""
 
     world: str = "gates"
     """Name of the world, which must have gates."""
@@ -194,10 +185,6 @@ frame [m] |
     def finished(self, goals: RaceGoals) -> Mask:
         """Return where all laps are complete."""
         return goals.passed >= goals.total
-
-    def success(self, area: FlightArea, goals: RaceGoals, step: Transition) -> Mask:
-        """Return where all laps are complete."""
-        return self.finished(goals)
 
     def with_goal(self, goals: RaceGoals, goal_m: Array) -> RaceGoals:
         """Raise ConfigError, since the course has no other goals."""

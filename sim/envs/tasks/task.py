@@ -165,6 +165,25 @@ AnyTask = Task[Any]
 """A task with goals of any type."""
 
 
+class TaskSettings(Settings):
+    """Base of tasks: what most of them have in common."""
+
+    lands: ClassVar[bool] = False
+    """Whether standing on the ground is part of the task; otherwise it is a failure."""
+
+    def bounds_m(self, area: FlightArea) -> Array:
+        """Return the free box (2, 3) of the world [m]."""
+        return area.free_box
+
+    def finished(self, goals: Any) -> Mask:
+        """Return False everywhere: the task goes on until the time limit."""
+        return np.zeros(len(goals), dtype=np.bool_)
+
+    def success(self, area: FlightArea, goals: Any, step: Transition) -> Mask:
+        """Return in which episodes the task is accomplished."""
+        return self.finished(goals)
+
+
 def flight_box_m(area: FlightArea, margin_m: float) -> Array:
     """Return the box (2, 3) without obstacles of a world, reduced by a margin on all sides but at least that above the
     floor [m].

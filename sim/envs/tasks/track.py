@@ -8,11 +8,12 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
-from dronevio.models.ranges import Range, Settings
+from dronevio.models.ranges import Range
 from dronevio.sim.envs.tasks.task import (
     Mask,
     Objective,
     Start,
+    TaskSettings,
     Transition,
     action_change,
     closeness,
@@ -57,7 +58,7 @@ class TrackGoals(Table):
 
 
 @dataclass(frozen=True)
-class Track(Settings):
+class Track(TaskSettings):
     """Follow a reference that moves on a random Lissajous curve: ``dronevio/Track-v0``.
 
     ## Description
@@ -109,8 +110,6 @@ frame [m] |
     """Names of the default observations."""
     default_action: ClassVar[str] = "rates"
     """Name of the default action mode."""
-    lands: ClassVar[bool] = False
-    """Whether standing on the ground is part of the task."""
 
     world: str = "room"
     """Name of the world."""
@@ -132,10 +131,6 @@ frame [m] |
     """Weight of the mean squared change of the action."""
     obstacles: bool = False
     """Whether the obstacles of the world are part of the physics; there are none in the free space of a world."""
-
-    def bounds_m(self, area: FlightArea) -> Array:
-        """Return the free box (2, 3) of the world [m]."""
-        return area.free_box
 
     def begin(
         self, area: FlightArea, quadrotor: Quadrotor, rng: np.random.Generator, count: int
@@ -171,10 +166,6 @@ frame [m] |
             "closeness": closeness(step.after, reference, self.distance_scale_m, self.rate_scale_rad_s),
             "smoothness": -self.smoothness * action_change(step),
         }
-
-    def finished(self, goals: TrackGoals) -> Mask:
-        """Return False everywhere: tracking goes on until the time limit."""
-        return np.zeros(len(goals), dtype=np.bool_)
 
     def success(self, area: FlightArea, goals: TrackGoals, step: Transition) -> Mask:
         """Return where the mean distance is below the tolerance."""

@@ -7,15 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.quadrotor import Quadrotor
-from dronevio.models.ranges import Range, Settings
-from dronevio.sim.envs.tasks.task import (
-    Mask,
-    Objective,
-    Transition,
-    action_change,
-    closeness,
-    weighted,
-)
+from dronevio.models.ranges import Range
+from dronevio.sim.envs.tasks.task import Mask, Objective, TaskSettings, Transition, action_change, closeness, weighted
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import Table, VehicleStates
 
@@ -42,7 +35,7 @@ class VioHoverGoals(Table):
 
 
 @dataclass(frozen=True)
-class VioHover(Settings):
+class VioHover(TaskSettings):
     """Take off, hover for 60 s and land, flown on visual-inertial odometry: ``dronevio/VioHover-v0``.
 
     ## Description
@@ -138,10 +131,6 @@ class VioHover(Settings):
         """Time from the start of an episode at which the goal begins to descend [s]."""
         return self.height_m / self.climb_m_s + self.hover_s
 
-    def bounds_m(self, area: FlightArea) -> Array:
-        """Return the free box (2, 3) of the world [m]."""
-        return area.free_box
-
     def begin(
         self, area: FlightArea, quadrotor: Quadrotor, rng: np.random.Generator, count: int
     ) -> tuple[VehicleStates, VioHoverGoals]:
@@ -188,10 +177,6 @@ class VioHover(Settings):
 
     def finished(self, goals: VioHoverGoals) -> Mask:
         """Return which vehicles have landed."""
-        return goals.landed
-
-    def success(self, area: FlightArea, goals: VioHoverGoals, step: Transition) -> Mask:
-        """Return which vehicles have landed softly on the pad."""
         return goals.landed
 
     def with_goal(self, goals: VioHoverGoals, goal_m: Array) -> VioHoverGoals:

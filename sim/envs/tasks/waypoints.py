@@ -7,11 +7,12 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.quadrotor import Quadrotor
-from dronevio.models.ranges import Range, Settings
+from dronevio.models.ranges import Range
 from dronevio.sim.envs.tasks.task import (
     Mask,
     Objective,
     Start,
+    TaskSettings,
     Transition,
     approach_m,
     distance_m,
@@ -46,7 +47,7 @@ class WaypointsGoals(Table):
 
 
 @dataclass(frozen=True)
-class Waypoints(Settings):
+class Waypoints(TaskSettings):
     """Fly through five random points in a room, one after another: ``dronevio/Waypoints-v0``.
 
     ## Description
@@ -99,8 +100,6 @@ class Waypoints(Settings):
     """Names of the default observations."""
     default_action: ClassVar[str] = "rates"
     """Name of the default action mode."""
-    lands: ClassVar[bool] = False
-    """Whether standing on the ground is part of the task."""
 
     world: str = "room"
     """Name of the world."""
@@ -128,10 +127,6 @@ class Waypoints(Settings):
     """Penalty of a failure."""
     obstacles: bool = False
     """Whether the obstacles of the world are part of the physics; there are none in the free space of a world."""
-
-    def bounds_m(self, area: FlightArea) -> Array:
-        """Return the free box (2, 3) of the world [m]."""
-        return area.free_box
 
     def begin(
         self, area: FlightArea, quadrotor: Quadrotor, rng: np.random.Generator, count: int
@@ -169,10 +164,6 @@ class Waypoints(Settings):
     def finished(self, goals: WaypointsGoals) -> Mask:
         """Return where all points have been reached."""
         return goals.reached >= self.count
-
-    def success(self, area: FlightArea, goals: WaypointsGoals, step: Transition) -> Mask:
-        """Return where all points have been reached."""
-        return self.finished(goals)
 
     def with_goal(self, goals: WaypointsGoals, goal_m: Array) -> WaypointsGoals:
         """Return goals whose first point is given, (n, 3) [m]."""

@@ -10,13 +10,13 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkDatabase
-from dronevio.estimator.backend.linalg import CholeskyFactor
 from dronevio.estimator.backend.marginal_prior import KeyframeState, MarginalPrior
 from dronevio.estimator.backend.recalibration import (
     image_velocity,
     recalibrated_observations,
     with_calibration_error,
 )
+from dronevio.estimator.optimization.linalg import CholeskyFactor
 from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 

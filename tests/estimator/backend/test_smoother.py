@@ -9,12 +9,13 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.config import SmootherConfig
-from dronevio.estimator.backend.linalg import SingularError
-from dronevio.estimator.backend.linear_system import LinearSystem
+from dronevio.estimator.backend.linear_system import LinearSystem, WindowEstimate
 from dronevio.estimator.backend.marginal_prior import MarginalPrior
-from dronevio.estimator.backend.smoother import KeyframeSmoother
-from dronevio.estimator.backend.window import Window
+from dronevio.estimator.backend.marginalization import PendingMarginalization
+from dronevio.estimator.backend.window_objective import WindowObjective
 from dronevio.estimator.initialization.static import InitialSigmas
+from dronevio.estimator.optimization import gauss_newton
+from dronevio.estimator.optimization.linalg import CholeskyFactor, SingularError
 from dronevio.estimator.types import Calibration
 from dronevio.models.rotation import exp_so3, log_so3
 from dronevio.models.state import NavState, Trajectory
@@ -70,13 +71,15 @@ def covariance_of(state: NavState) -> Array:
     return state.covariance
 
 
-def fail_to_linearize(smoother: KeyframeSmoother, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make the next linearization of a smoother's window fail."""
+def fail_to_linearize(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make the next linearization of a window fail."""
+    linearize = WindowObjective.linearize
 
-    def fail() -> LinearSystem:
+    def fail(*_: Any) -> LinearSystem:
+        monkeypatch.setattr(WindowObjective, "linearize", linearize)
         raise SingularError("the linear system is indefinite")
 
-    monkeypatch.setattr(smoother._window, "linearize", fail)
+    monkeypatch.setattr(WindowObjective, "linearize", fail)
 
 
 def test_states_are_exact_without_noise(noiseless: "KeyframeFeed") -> None:
@@ -104,13 +107,13 @@ def test_a_second_step_follows_only_a_long_first_step(
 ) -> None:
     """Without noise and errors, the first step is short; an error of the first state makes it long."""
     made = make_flight(0, rest_s=-5.0, duration_s=4.0, noisy=False, sampling="increment")
-    linearize, calls = Window.linearize, list[int]()
+    step, calls = gauss_newton.gauss_newton_step, list[int]()
 
-    def counted(window: Window) -> LinearSystem:
-        calls.append(window.newest)
-        return linearize(window)
+    def counted(objective: WindowObjective, x: WindowEstimate, factorize: Callable[[Array], CholeskyFactor]) -> Any:
+        calls.append(max(x.states))
+        return step(objective, x, factorize)
 
-    monkeypatch.setattr(Window, "linearize", counted)
+    monkeypatch.setattr(gauss_newton, "gauss_newton_step", counted)
     feed(made, SmootherConfig(max_decrement=max_decrement)).finish()
     per_keyframe = np.bincount(calls)[1:]
     assert set(per_keyframe[3:].tolist()) == {steps}
@@ -180,7 +183,7 @@ def test_smoother_restarts_after_a_failure_of_the_solver(
     found = feed(make_flight(2, rest_s=-5.0, duration_s=8.0))
     for _ in found:
         if len(found.states) == 15:
-            fail_to_linearize(found.smoother, monkeypatch)
+            fail_to_linearize(monkeypatch)
     events = [result.events for result in found.results]
     assert events[15] == ("solver restored: the linear system is indefinite",)
     assert not any(events[:15]) and not any(events[16:])
@@ -195,13 +198,13 @@ def test_the_prior_waits_for_a_later_frame(
     """The keyframe that marginalizes another does not compute the prior, and estimates do not depend on when it is."""
     flight, config = make_flight(0, rest_s=-5.0, duration_s=4.0), SmootherConfig(max_keyframes=6)
     waiting, counts = feed(flight, config), [0]
-    marginal_prior = Window._marginal_prior
+    marginal_prior = PendingMarginalization.prior
 
     def counted(*arguments: Any) -> MarginalPrior:
         counts[-1] += 1
         return marginal_prior(*arguments)
 
-    monkeypatch.setattr(Window, "_marginal_prior", counted)
+    monkeypatch.setattr(PendingMarginalization, "prior", counted)
     for _ in waiting:
         counts.append(0)
         waiting.smoother.complete()
@@ -235,10 +238,7 @@ def test_a_restart_after_a_failed_correction_keeps_nothing(
 ) -> None:
     smoother = feed(make_flight(0, rest_s=-5.0, duration_s=3.0)).finish().smoother
 
-    def fail(_: Window) -> float:
-        raise SingularError("the linear system is indefinite")
-
-    monkeypatch.setattr(Window, "cost", fail)
+    fail_to_linearize(monkeypatch)
     calibration = Calibration(smoother._calibration.rig, time_offset_correction_s=0.01)
     assert not smoother.recalibrate(calibration, np.zeros((15, 15)))
     assert len(smoother.restarted(calibration, np.zeros((15, 15)))._window.landmarks.all_observations) == 0
@@ -254,7 +254,7 @@ def test_the_next_keyframe_reports_a_singular_prior(
 
     for _ in found:
         if len(found.states) == 10:
-            monkeypatch.setattr(Window, "_marginal_prior", fail)
+            monkeypatch.setattr(PendingMarginalization, "prior", fail)
             found.smoother.complete()  # this failure is not reported
         elif len(found.states) == 11:
             monkeypatch.undo()
@@ -279,7 +279,7 @@ def test_smoother_restarts_at_any_position_covariance(
             covariance = solution.covariance.copy()
             covariance[3:6, 3:6] = position_sigma_m**2 * np.eye(3)
             found.smoother._solution = replace(solution, covariance=covariance)
-            fail_to_linearize(found.smoother, monkeypatch)
+            fail_to_linearize(monkeypatch)
     assert [bool(result.events) for result in found.results] == [k == 8 for k in range(len(found.results))]
     assert errors(found)[1].max() < 0.1
     sigma_m = np.sqrt(np.diag(covariance_of(found.states[-1]))[3:6])

@@ -9,17 +9,20 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.calibration import online
+from dronevio.estimator.calibration import significance
 from dronevio.estimator.calibration.adjustment import AdjustmentResult
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrected_state import propagated_state
 from dronevio.estimator.calibration.corrections import Corrections
-from dronevio.estimator.calibration.online import OnlineCalibration
+from dronevio.estimator.calibration.estimate import ParameterEstimate
+from dronevio.estimator.calibration.online import CalibrationPrior, OnlineCalibration
+from dronevio.estimator.calibration.parameters import ParameterTable
+from dronevio.estimator.calibration.significance import SignificanceTest
 from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
 from dronevio.estimator.calibration.window_collector import CalibrationWindow
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
-from dronevio.estimator.types import NO_MATCHES, Matches, Observations
+from dronevio.estimator.types import NO_MATCHES, Calibration, Matches, Observations
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import rig_named
@@ -114,36 +117,38 @@ def test_another_baseline_is_no_rotation_of_both_cameras(position_sigma_m: float
     ids, camera, xy = (np.concatenate([getattr(p, name) for p in parts]) for name in ("ids", "camera", "xy"))
     keyframe = WindowKeyframe(at_rest(), np.zeros(3), 0.0, GRAVITY_M_S2, None, ids, camera, xy)
     precise = replace(config.adjustment, min_views=2, min_parallax_deg=0.1, pixel_sigma=0.025, iterations=10)
-    calibration = OnlineCalibration(rig, config)
+    parameters = ParameterTable.of(config, 2)
+    given = CalibrationPrior(Calibration(rig), GRAVITY_M_S2, parameters, config)
     window = CalibrationWindow((keyframe,), begins_stationary=False, is_complete=False)
-    problem = calibration._problem_of(window, precise, calibration._covariance)
+    problem = given.problem(window, ParameterEstimate.prior(parameters), precise)
     while not problem.is_done:
         problem.step()
     assert problem.result is not None and problem.landmark_count == 120
-    rotations = np.flatnonzero(calibration._part == 2)
+    rotations = next(group.rows for group in parameters.groups if group.is_rotation)
     covariance = np.linalg.inv(problem.result.information)[np.ix_(rotations, rotations)]
     variances, axes = np.linalg.eigh(covariance)
     sigmas = np.abs(axes.T @ problem.result.mean[rotations]) / np.sqrt(variances)
     assert sigmas.max() > 4.0 if is_significant else sigmas.max() < 2.0
-    assert not calibration.applied.translation_m.any()
 
 
 def test_positions_of_the_cameras_are_not_corrected() -> None:
     """They are unknowns only, also where an estimate is far from the given position."""
-    calibration = OnlineCalibration(rig_named("euroc-stereo"), CalibrationConfig(position_sigma_m=0.1))
-    mean = np.zeros(len(calibration._mean))
-    positions = np.flatnonzero(calibration._unknown & ~calibration._estimated)
+    parameters = ParameterTable.of(CalibrationConfig(position_sigma_m=0.1), 2)
+    corrected = np.concatenate([group.rows for group in parameters.groups])
+    positions = np.setdiff1d(np.flatnonzero(parameters.is_unknown), corrected)
+    mean = np.zeros(len(parameters.sigmas))
     mean[positions] = 0.05
     assert len(positions) == 6
-    assert not calibration._apply(mean, 1e-8 * np.eye(len(mean)))
-    assert not calibration.applied.translation_m.any()
+    certain, test = 1e-8 * np.eye(len(mean)), SignificanceTest(0.0, 0.0)
+    assert ParameterEstimate.prior(parameters).corrected(mean, certain, parameters, test) is None
     equal = CalibrationConfig(focal=CalibrationConfig().translation)  # settings of one part that another has, too
-    np.testing.assert_array_equal(OnlineCalibration(rig_named("euroc-stereo"), equal)._unknown, calibration._unknown)
-    estimated = CalibrationConfig(translation=replace(CalibrationConfig().translation, online=True))
-    positions_sigma = OnlineCalibration(rig_named("euroc-stereo"), estimated).sigmas.translation_m
-    np.testing.assert_allclose(positions_sigma, estimated.translation.sigma)
-    one_camera = OnlineCalibration(rig_named("euroc"))
-    np.testing.assert_array_equal(one_camera._unknown, one_camera._estimated)
+    np.testing.assert_array_equal(ParameterTable.of(equal, 2).is_unknown, parameters.is_unknown)
+    online = CalibrationConfig(translation=replace(CalibrationConfig().translation, online=True))
+    of_positions = Corrections.from_vector(ParameterTable.of(online, 2).sigmas).translation_m
+    np.testing.assert_array_equal(of_positions, online.translation.sigma)
+    one_camera = ParameterTable.of(CalibrationConfig(), 1)
+    corrected = np.concatenate([group.rows for group in one_camera.groups])
+    np.testing.assert_array_equal(np.flatnonzero(one_camera.is_unknown), corrected)
 
 
 def test_one_camera_has_no_other_to_compare_with(make_flight: MakeFlight) -> None:
@@ -238,12 +243,12 @@ def test_a_small_correction_determines_no_state(make_flight: MakeFlight, tilt_de
     assert calibration.corrected_state is None
 
 
-@pytest.mark.parametrize(("sigmas", "is_early"), [(online.STATIONARY_SIGMAS, True), (1e3, False)])
+@pytest.mark.parametrize(("sigmas", "is_early"), [(significance.STATIONARY_SIGMAS, True), (1e3, False)])
 def test_windows_that_begin_at_rest_need_more_significance(
     make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch, sigmas: float, is_early: bool
 ) -> None:
     """The next window, in motion, needs the significance of the settings only."""
-    monkeypatch.setattr(online, "STATIONARY_SIGMAS", sigmas)
+    monkeypatch.setattr(significance, "STATIONARY_SIGMAS", sigmas)
     flight = make_flight(0, rest_s=REST_S, duration_s=14.0)
     true = turned(flight.rig, np.radians(2.0) * np.array([[0.6, 0.0, 0.8]]))
     after_s, _, corrected = corrected_flight(flight, true, drift_m=0.0)

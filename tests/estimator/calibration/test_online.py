@@ -12,7 +12,11 @@ import pytest
 from dronevio.estimator.calibration.adjustment import AdjustmentResult, CalibrationProblem
 from dronevio.estimator.calibration.config import CalibratedPart, CalibrationConfig
 from dronevio.estimator.calibration.corrections import COMMON_PARAMETERS, PARAMETERS_PER_CAMERA
+from dronevio.estimator.calibration.estimate import ParameterEstimate
+from dronevio.estimator.calibration.objective import CalibrationObjective
 from dronevio.estimator.calibration.online import OnlineCalibration
+from dronevio.estimator.calibration.parameters import ParameterTable
+from dronevio.estimator.calibration.significance import SignificanceTest
 from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
@@ -20,7 +24,6 @@ from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.camera import CameraModel
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rig import Rig
-from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, log_so3, pose_matrix
 from dronevio.models.state import NavState
 
@@ -175,6 +178,15 @@ def test_gravity_is_found(make_flight: MakeFlight, gravity_m_s2: float, duration
     assert np.sqrt(found.covariance_inflation[[0, 3, 6, 12], [0, 3, 6, 12]]) == pytest.approx([1e-3, 2e-3, 0.01, 0.03])
 
 
+@pytest.mark.parametrize("gravity_m_s2", [9.78, 9.832])
+def test_later_windows_know_the_gravity_in_use(make_flight: MakeFlight, gravity_m_s2: float) -> None:
+    """A second window whose measurements contain the correction confirms it, and does not find a part of it anew."""
+    flight = make_flight(0, rest_s=-5.0, duration_s=13.0, noisy=False, sampling="increment", gravity_m_s2=gravity_m_s2)
+    found = calibrated(flight, replace(ALL_OFF, gravity=replace(ON, significance=0.0)), Errors(state_sigma=0.003))
+    assert found.estimate.gravity_m_s2 == pytest.approx(gravity_m_s2 - GRAVITY_M_S2, abs=4e-4)
+    assert found.sigmas.gravity_m_s2 < 0.04  # by two windows
+
+
 def test_the_adjustment_ends_with_a_short_step(noiseless: "SyntheticFlight", monkeypatch: pytest.MonkeyPatch) -> None:
     """Without errors, the first step is shorter than a standard deviation; a wrong time offset needs two."""
     ends, step = list[bool](), CalibrationProblem.step
@@ -212,9 +224,10 @@ def test_the_state_given_corrections_is_that_of_their_problem(make_flight: MakeF
     estimated, prior = np.isin(np.arange(12), [0, 2, 3, 4]), np.diag(np.repeat([1e4, 2.5e3], [2, 10]))
 
     def adjusted(mean: Array, information: Array) -> AdjustmentResult:
-        problem = CalibrationProblem(
+        objective = CalibrationObjective.of(
             window, Ts, focal_px, config, mean, information, estimated, GRAVITY_M_S2, initial=np.zeros(12)
         )
+        problem = CalibrationProblem(objective, config, window[-1].state.t_ns)
         while not problem.is_done:
             problem.step()
         assert problem.result is not None
@@ -295,27 +308,40 @@ def test_parts_that_are_off_are_not_estimated(noiseless: "SyntheticFlight") -> N
     assert str(found.applied) == str(found.estimate) == "none"
 
 
+def turned_alike(cameras: int, rotation_rad: float) -> Array:
+    """Return corrections by which all cameras are rotated about their x axes, as by a rotation of the IMU."""
+    corrections = np.zeros(COMMON_PARAMETERS + PARAMETERS_PER_CAMERA * cameras)
+    corrections[COMMON_PARAMETERS::PARAMETERS_PER_CAMERA] = rotation_rad
+    return corrections
+
+
 @pytest.mark.parametrize(("share", "applied"), [(0.95, False), (1.05, True)])
-@pytest.mark.parametrize("rig", ["euroc", "euroc-stereo"])
-def test_the_smallest_rotation_is_that_of_each_camera(rig: str, share: float, applied: bool) -> None:
+@pytest.mark.parametrize("cameras", [1, 2])
+def test_the_smallest_rotation_is_that_of_each_camera(cameras: int, share: float, applied: bool) -> None:
     """A rotation of the IMU in its housing turns all cameras alike."""
-    calibration = OnlineCalibration(rig_named(rig))
-    corrections = np.zeros(len(calibration._mean))
-    corrections[COMMON_PARAMETERS::PARAMETERS_PER_CAMERA] = share * CalibrationConfig().rotation.min_correction
-    assert calibration._apply(corrections, 1e-12 * np.eye(len(corrections))) == applied
+    config = CalibrationConfig()
+    parameters = ParameterTable.of(config, cameras)
+    from_rest = SignificanceTest.of_window(config, cameras, begins_stationary=True)
+    mean = turned_alike(cameras, share * config.rotation.min_correction)
+    corrected = ParameterEstimate.prior(parameters).corrected(mean, 1e-12 * np.eye(len(mean)), parameters, from_rest)
+    assert (corrected is not None) == applied
 
 
-@pytest.mark.parametrize("rig", ["euroc", "euroc-stereo"])
-def test_first_rotation_by_windows_in_motion_is_larger(rig: str) -> None:
+@pytest.mark.parametrize("cameras", [1, 2])
+def test_first_rotation_by_windows_in_motion_is_larger(cameras: int) -> None:
     """Later corrections of rotations that are known to be wrong are as small as by windows from rest."""
-    calibration, config = OnlineCalibration(rig_named(rig)), CalibrationConfig()
-    certain = 1e-12 * np.eye(len(calibration._mean))
+    config = CalibrationConfig()
+    parameters = ParameterTable.of(config, cameras)
+    in_motion = SignificanceTest.of_window(config, cameras, begins_stationary=False)
+    certain = 1e-12 * np.eye(len(parameters.sigmas))
 
-    def is_applied(rotation_rad: float) -> bool:
-        corrections = np.zeros(len(calibration._mean))
-        corrections[COMMON_PARAMETERS::PARAMETERS_PER_CAMERA] = rotation_rad
-        return calibration._apply(corrections, certain, by_component=True)
+    def corrected(estimate: ParameterEstimate, rotation_rad: float) -> ParameterEstimate | None:
+        return estimate.corrected(turned_alike(cameras, rotation_rad), certain, parameters, in_motion)
 
     first = config.min_motion_correction
-    assert not is_applied(0.95 * first) and is_applied(1.05 * first)
-    assert is_applied(1.05 * (first + config.rotation.refinement * config.rotation.min_correction))
+    assert corrected(ParameterEstimate.prior(parameters), 0.95 * first) is None
+    wrong = corrected(ParameterEstimate.prior(parameters), 1.05 * first)
+    assert wrong is not None
+    smallest = config.rotation.refinement * config.rotation.min_correction
+    assert corrected(wrong, 1.05 * first + 0.95 * smallest) is None
+    assert corrected(wrong, 1.05 * first + 1.05 * smallest) is not None

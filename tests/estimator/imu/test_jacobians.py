@@ -79,6 +79,9 @@ def test_transition_is_the_derivative_of_integration(steps: int, rate_rad_s: flo
     np.testing.assert_allclose(F[:, :9], expected[:, :9], atol=1e-7)
     angle = np.linalg.norm(increments.gyro_rad_s, axis=1).max() * steps * DT_S
     assert angle < 0.3
+    for rows, columns in ((V, BG), (P, BG)):  # the rotation that turns a step's specific force is that at its start
+        error = np.linalg.norm(F[rows, columns] - expected[rows, columns], 2)
+        assert error < (angle + 2.0 / steps) * np.linalg.norm(expected[rows, columns], 2)
     for rows, columns in ((THETA, BG), (V, BA), (P, BA)):
         error = np.linalg.norm(F[rows, columns] - expected[rows, columns], 2)
         assert error < (angle + 1e-6) * np.linalg.norm(expected[rows, columns], 2)

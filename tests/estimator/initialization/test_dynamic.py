@@ -2,15 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
+from dronevio.estimator.backend import smoother
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.initialization.dynamic import DynamicInitializationConfig, DynamicStart, initialize_dynamic
 from dronevio.estimator.initialization.gauge import BiasPrior
 from dronevio.estimator.initialization.not_observable import NotObservable
+from dronevio.estimator.optimization.levenberg_marquardt import Minimum, levenberg_marquardt
 from dronevio.estimator.types import FramePacket
 from dronevio.models.state import NavState, Trajectory
 
@@ -215,3 +217,20 @@ def test_the_window_is_not_modified(make_flight: MakeFlight) -> None:
     for packet, (xy, gyro) in zip(window, before, strict=True):
         np.testing.assert_array_equal(packet.observations.xy, xy)
         np.testing.assert_array_equal(packet.increments.gyro_rad_s, gyro)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_adjustment_of_a_start_converges(
+    make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    """Every step decreases the cost, because costs are compared at the same scales."""
+    found = list[Minimum[Any, Any]]()
+
+    def recorded(*arguments: Any) -> Minimum[Any, Any]:
+        found.append(levenberg_marquardt(*arguments))
+        return found[-1]
+
+    monkeypatch.setattr(smoother, "levenberg_marquardt", recorded)
+    make_flight(seed, rest_s=-5.0, duration_s=2.0).run()
+    assert len(found) == 2  # rounds
+    assert all(minimum.converged and minimum.rejected == 0 for minimum in found)

@@ -16,6 +16,7 @@ from dronevio.cli import main
 from dronevio.eval.metrics import (
     AlignmentMode,
     PairRule,
+    ScoreOptions,
     align,
     pairs_after_distance,
     relative_errors,
@@ -207,7 +208,7 @@ def test_scores_agree_with_an_independent_script(data_folder: Path, sequence: st
     estimate = data_folder / "trajectories" / "rpg" / "vislam_rp" / sequence / "stamped_traj_estimate0.txt"
     truth = data_folder / "euroc" / sequence / "groundtruth.csv"
     expected = module.evaluate(str(estimate), str(truth))
-    found = score(read_trajectory_file(truth), read_tum(estimate), alignment=mode)
+    found = score(read_trajectory_file(truth), read_tum(estimate), options=ScoreOptions(mode))
     assert (found.n_poses, found.rpe_pairs) == (expected["n"], expected["rpe_n"])
     assert found.ate_m.rmse == pytest.approx(expected[f"ate_{mode}"], abs=AGREEMENT)
     assert found.ate_m.max == pytest.approx(expected[f"max_{mode}"], abs=AGREEMENT)

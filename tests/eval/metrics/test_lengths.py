@@ -20,7 +20,7 @@ from dronevio.eval.metrics.pairs import (
     pairs_after_rotation,
     path_lengths_m,
 )
-from dronevio.eval.metrics.scores import default_lengths_m
+from dronevio.eval.metrics.trajectory_errors import default_lengths_m
 from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.rotation import exp_so3, pose_matrix, quat_wxyz_from_matrix, rotation_z
 from dronevio.models.state import Trajectory

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 import dronevio.eval
 from dronevio.eval import align, anees, ate, estimate_time_offset_s, nees, nees_bounds, rpe, score, score_run
-from dronevio.eval.metrics import Alignment, AlignmentMode, Association, associate, interpolate
+from dronevio.eval.metrics import Alignment, AlignmentMode, Association, ScoreOptions, associate, interpolate
 from dronevio.eval.metrics.consistency import inside_percent
 from dronevio.eval.metrics.pairs import Selection, Unit
 from dronevio.eval.run import EstimatorRun
@@ -89,9 +89,9 @@ def test_only_the_first_poses_are_aligned() -> None:
         assert errors.rmse == pytest.approx(np.sqrt(0.5)) and errors.max == pytest.approx(1.0)
         whole = ate(truth.p_world_imu, estimate.p_world_imu, mode)
         assert whole.rmse < 0.6 and whole.max < 0.95
-    assert score(truth, estimate, align_poses=200).ate_m.rmse == pytest.approx(np.sqrt(0.5))
-    assert score(truth, estimate, align_poses=1).ate_m.rmse == pytest.approx(np.sqrt(0.5))
-    assert score(truth, estimate, alignment="first").ate_m.rmse == pytest.approx(np.sqrt(0.5))
+    assert score(truth, estimate, options=ScoreOptions(align_poses=200)).ate_m.rmse == pytest.approx(np.sqrt(0.5))
+    assert score(truth, estimate, options=ScoreOptions(align_poses=1)).ate_m.rmse == pytest.approx(np.sqrt(0.5))
+    assert score(truth, estimate, options=ScoreOptions("first")).ate_m.rmse == pytest.approx(np.sqrt(0.5))
 
 
 def test_invalid_alignments_are_refused() -> None:
@@ -165,7 +165,7 @@ def test_the_time_offset_is_estimated_on_request_only(seed: int, offset_s: float
     )
     found = estimate_time_offset_s(truth, transformed)
     assert found == pytest.approx(offset_s, abs=3e-3)
-    corrected = score(truth, transformed, time_offset_s=found)
+    corrected = score(truth, transformed, options=ScoreOptions(time_offset_s=found))
     assert corrected.time_offset_s == found and corrected.ate_m.rmse < 0.02
     assert score(truth, transformed).time_offset_s == 0.0
     if abs(offset_s) > 0.05:

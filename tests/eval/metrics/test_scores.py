@@ -15,6 +15,7 @@ from dronevio.eval.metrics import (
     Alignment,
     AlignmentMode,
     PairRule,
+    ScoreOptions,
     coverage_percent,
     scale_error_percent,
     score,
@@ -50,7 +51,7 @@ def test_an_exact_estimate_in_another_world_frame_has_no_error(
 ) -> None:
     truth = truth_at_200_hz()
     estimate = Alignment(rotation_z(yaw), np.array(t)).apply(truth[::10])
-    scores = score(truth, estimate, truth.t_ns[::10], mode)
+    scores = score(truth, estimate, truth.t_ns[::10], ScoreOptions(mode))
     assert scores.ate_m.max < 1e-8 and scores.ate_deg.max < 1e-6
     assert scores.rpe_m is not None and scores.rpe_m.max < 1e-8
     assert scores.rpe_deg is not None and scores.rpe_deg.max < 1e-6
@@ -78,7 +79,7 @@ def test_the_scale_error_is_the_excess_in_percent(scale: float) -> None:
     found = scale_error_percent(truth.p_world_imu, scaled.p_world_imu)
     assert found == pytest.approx(100 * (scale - 1), abs=1e-9)
     assert score(truth, scaled).scale_error_percent == pytest.approx(found)
-    similar = score(truth, scaled, alignment="sim3")  # removes the scale from the errors, and still reports it
+    similar = score(truth, scaled, options=ScoreOptions("sim3"))  # removes the scale from the errors, and reports it
     assert similar.scale_error_percent == pytest.approx(found)
     assert similar.ate_m.max < 1e-9
 
@@ -137,18 +138,18 @@ def test_covariances_are_scored() -> None:
     assert scored.scores.position_beyond_3_sigma_percent == pytest.approx(0.27, abs=0.5)
     others: tuple[AlignmentMode, ...] = ("none", "se3", "sim3")
     for mode in others:  # the NEES is that of the estimate anchored at the first pose
-        scores = score(truth, estimate, alignment=mode)
+        scores = score(truth, estimate, options=ScoreOptions(mode))
         assert scores.nees_position == scored.scores.nees_position
 
 
 def test_association_with_the_nearest_pose() -> None:
     truth = truth_at_200_hz()
     estimate = replace(truth[::10], t_ns=truth.t_ns[::10] + 2_000_000)
-    by_nearest = score(truth, estimate, association="nearest")
+    by_nearest = score(truth, estimate, options=ScoreOptions(association="nearest"))
     assert by_nearest.ate_m.max < 1e-9 and by_nearest.n_poses == 401
     assert score(truth, estimate).ate_m.max > 1e-3
     with pytest.raises(EvaluationError):
-        score(truth, estimate, association="nearest", max_gap_s=0.001)
+        score(truth, estimate, options=ScoreOptions(association="nearest", max_gap_s=0.001))
 
 
 def test_scores_can_be_written_as_json() -> None:
@@ -166,10 +167,10 @@ def test_invalid_trajectories_and_options_are_refused() -> None:
     with pytest.raises(EvaluationError, match="not finite"):
         score(truth, replace(truth, p_world_imu=truth.p_world_imu * np.nan))
     with pytest.raises(ConfigError, match="association"):
-        score(truth, truth, association="greedy")  # type: ignore[arg-type]
+        score(truth, truth, options=ScoreOptions(association="greedy"))  # type: ignore[arg-type]
     for delta_s in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(ConfigError, match="above zero"):
-            score(truth, truth, rpe=PairRule(delta_s))
+            score(truth, truth, options=ScoreOptions(rpe=PairRule(delta_s)))
 
 
 def test_a_hundred_thousand_poses_are_scored_fast() -> None:

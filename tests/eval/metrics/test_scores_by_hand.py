@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.eval.metrics import PairRule, errors_by_length, rpe, score, score_trajectory
+from dronevio.eval.metrics import PairRule, ScoreOptions, errors_by_length, rpe, score, score_trajectory
 from dronevio.eval.metrics.lengths import drifts_m
 from dronevio.eval.metrics.pairs import Source
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix, rotation_z
@@ -52,7 +52,7 @@ def test_yaw_alignment_does_not_remove_a_tilt() -> None:
     assert (scores.ate_m.min, scores.ate_m.max, scores.ate_deg.min, scores.ate_deg.max) == pytest.approx((1, 1, 60, 60))
     rotated = replace(tilted, p_world_imu=tilted.p_world_imu @ rotation_z(0.7).T + [4.0, 5.0, 6.0])
     assert score(trajectory(square), rotated).ate_m.rmse == pytest.approx(1.0)
-    by_se3 = score(trajectory(square), tilted, alignment="se3")
+    by_se3 = score(trajectory(square), tilted, options=ScoreOptions("se3"))
     assert by_se3.ate_m.max == pytest.approx(0.0, abs=1e-12)
     assert by_se3.ate_deg.max == pytest.approx(0.0, abs=1e-5)
 
@@ -60,7 +60,7 @@ def test_yaw_alignment_does_not_remove_a_tilt() -> None:
 def test_times_are_those_of_the_compared_poses() -> None:
     """A truth of ten seconds, an estimate from 2 s to 6 s at twice the speed, with an error of 1 m over a second."""
     truth = trajectory(along_x(11))
-    scored = score_trajectory(truth, trajectory(along_x(5, 2.0), first_pose_s=2), alignment="none")
+    scored = score_trajectory(truth, trajectory(along_x(5, 2.0), first_pose_s=2), options=ScoreOptions("none"))
     scores = scored.scores
     assert (scores.first_pose_s, scores.last_pose_s, scores.longest_gap_s, scores.path_m) == pytest.approx(
         (2.0, 6.0, 1.0, 4.0)
@@ -75,7 +75,7 @@ def test_pairs_are_selected_on_the_requested_path() -> None:
     truth, estimate = trajectory(along_x(11)), trajectory(along_x(11, 2.0))
     expected: list[tuple[Source, int, float]] = [("truth", 9, 2.0), ("estimate", 10, 1.0)]
     for source, pairs, error_m in expected:
-        scores = score(truth, estimate, rpe=PairRule(2.0, "m", source=source))
+        scores = score(truth, estimate, options=ScoreOptions(rpe=PairRule(2.0, "m", source=source)))
         assert scores.rpe_m is not None
         assert (scores.rpe_pairs, scores.rpe_m.mean) == pytest.approx((pairs, error_m))
         assert (scores.rpe_interval, scores.rpe_delta_s) == ("2 m", None)

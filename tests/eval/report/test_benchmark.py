@@ -5,7 +5,6 @@ import io
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,26 +13,27 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dronevio.eval.benchmark.rows import Row, Status, write_rows
+from dronevio.eval.benchmark.isolation import Status
+from dronevio.eval.benchmark.metrics import METRICS, metric_named
+from dronevio.eval.benchmark.rows import Row, write_rows
 from dronevio.eval.benchmark.summary import Quartiles, quantile
+from dronevio.eval.metrics.metric import Metric, significant
 from dronevio.eval.report.benchmark.model import (
-    MEASURES,
     BenchmarkResults,
-    Measure,
-    find_measure,
-    measure_quartiles,
+    metric_quartiles,
     read_benchmark,
     seed_ranges,
-    significant,
+    value_of,
 )
 from dronevio.eval.report.benchmark.page import benchmark_page
 from dronevio.eval.report.benchmark.tables import as_csv, as_latex, as_markdown, failure_table, measure_table
 from dronevio.models.errors import ConfigError, InputError
+from tests.rows import changed, row_of
 
 if TYPE_CHECKING:
     from tests.eval.conftest import Browse, ReadPage
-ATE, COVERAGE, COST, NEES = map(find_measure, ("ate_m", "coverage_percent", "cpu_ms_mean", "nees_position"))
-BASE = Row("room-v0", "room", 0, "vio", "a81c", "dronevio 1, numpy 2", "ok", recording_hash="r0", wall_s=30.0)
+ATE, COVERAGE, COST, NEES = map(metric_named, ("ate_m", "coverage_percent", "cpu_ms_mean", "nees_position"))
+BASE = row_of("room-v0", "room", 0, "vio", "a81c", "dronevio 1, numpy 2", "ok", recording_hash="r0", wall_s=30.0)
 SHARES = np.array([0.1, 0.2, 0.3, 0.4, 0.5])
 HOSTILE = '</td><script>alert("1")</script>$x$ & <b>|'
 
@@ -53,14 +53,14 @@ def scored(scenario: str, seed: int | None, estimator: str, ate_m: float, **othe
         "sub_trajectory_rpe_m": tuple(0.1 * ate_m * lengths**0.5),
         "sub_trajectory_rpe_deg": tuple(ate_m * lengths**0.5),
     }
-    return replace(BASE, scenario=scenario, seed=seed, estimator=estimator, **(values | others))
+    return changed(BASE, scenario=scenario, seed=seed, estimator=estimator, **(values | others))
 
 
 def failed(
     scenario: str, seed: int | None, estimator: str, status: Status = "crashed", reason: str = "signal 11"
 ) -> Row:
     """Return a run without scores."""
-    return replace(BASE, scenario=scenario, seed=seed, estimator=estimator, status=status, reason=reason)
+    return changed(BASE, scenario=scenario, seed=seed, estimator=estimator, status=status, reason=reason)
 
 
 def make_rows(scenarios: Sequence[str], seeds: int) -> Iterator[Row]:
@@ -97,9 +97,9 @@ SUITE = BenchmarkResults("suite", tuple(make_suite()))
 SMALL = BenchmarkResults("small", tuple(make_rows(("room-v0", "hall-v0"), 4)))
 
 
-def known_quartiles(measure: Measure, rows: Sequence[Row]) -> Quartiles:
-    """Return the quartiles of runs of which at least one has the measure."""
-    quartiles = measure_quartiles(measure, rows)
+def known_quartiles(metric: Metric, rows: Sequence[Row]) -> Quartiles:
+    """Return the quartiles of runs of which at least one has the metric."""
+    quartiles = metric_quartiles(metric, rows)
     assert quartiles is not None
     return quartiles
 
@@ -126,14 +126,14 @@ def test_quantiles_of_finite_values_agree_with_numpy(values: list[float], share:
 
 @settings(deadline=None)
 @given(st.lists(st.floats(1e-3, 1e3), min_size=1, max_size=20), st.integers(0, 19), st.sampled_from((ATE, COVERAGE)))
-def test_a_failed_run_never_improves_the_quartiles(values: list[float], index: int, measure: Measure) -> None:
-    columns: list[dict[str, Any]] = [{measure.column: value} for value in values]
-    rows = [replace(scored("s", seed, "vio", 1.0), **column) for seed, column in enumerate(columns)]
+def test_a_failed_run_never_improves_the_quartiles(values: list[float], index: int, metric: Metric) -> None:
+    columns: list[dict[str, Any]] = [{metric.name: value} for value in values]
+    rows = [changed(scored("s", seed, "vio", 1.0), **column) for seed, column in enumerate(columns)]
     with_failure = list(rows)
     with_failure[index % len(rows)] = failed("s", index % len(rows), "vio")
-    before, after = known_quartiles(measure, rows), known_quartiles(measure, with_failure)
+    before, after = known_quartiles(metric, rows), known_quartiles(metric, with_failure)
     for name in ("median", "lower", "upper"):
-        assert measure.ranking_key(getattr(after, name)) >= measure.ranking_key(getattr(before, name))
+        assert metric.ranking_key(getattr(after, name)) >= metric.ranking_key(getattr(before, name))
     assert (before.failed, after.failed) == (0, 1)
 
 
@@ -141,8 +141,8 @@ def test_a_median_that_falls_on_a_failed_run_is_failed() -> None:
     rows = [scored("s", 0, "vio", 0.1), failed("s", 1, "vio"), failed("s", 2, "vio")]
     found = known_quartiles(ATE, rows)
     assert (found.median, found.runs, found.failed) == (math.inf, 3, 2)
-    assert ATE.text(found.median) == "failed"
-    assert COVERAGE.text(known_quartiles(COVERAGE, rows).median) == "failed"
+    assert ATE.compared_text(found.median) == "failed"
+    assert COVERAGE.compared_text(known_quartiles(COVERAGE, rows).median) == "failed"
     assert known_quartiles(COST, rows).median == 20.0  # a failed run has no cost per frame
 
 
@@ -178,9 +178,9 @@ def test_numbers_and_seeds_are_written_briefly() -> None:
     assert [significant(v) for v in values] == ["0", "0.0457", "1.00", "12.3", "100", "1234", "3.20e-06"]
     assert seed_ranges((0, 1, 2, 5, 7, 8)) == "0–2, 5, 7–8"
     assert seed_ranges((None,)) == "–"
-    assert find_measure("scale_error_percent").of(scored("s", 0, "vio", 1.0, scale_error_percent=-0.5)) == 0.5
+    assert value_of(METRICS["scale_error_percent"], scored("s", 0, "vio", 1.0, scale_error_percent=-0.5)) == 0.5
     with pytest.raises(ConfigError, match="'speed'"):
-        find_measure("speed")
+        metric_named("speed")
 
 
 def test_failures_are_grouped_by_reason() -> None:
@@ -202,7 +202,7 @@ def test_the_best_estimator_has_the_first_column() -> None:
         *(failed("s", seed, "b") for seed in range(2)),
         scored("s", 2, "b", 0.1),
         *(scored("s", seed, "c", 9.0) for seed in range(3)),
-        replace(scored("s", 0, "d", 0.1), ate_m=None),
+        changed(scored("s", 0, "d", 0.1), ate_m=None),
     )
     assert BenchmarkResults("b", rows).ranking == ("c", "b", "a", "d")
 
@@ -228,12 +228,12 @@ def test_the_card_of_a_failed_estimator_has_no_unit(read_page: "ReadPage") -> No
 
 def test_csv_holds_the_quartiles_of_the_runs() -> None:
     lines = list(csv.DictReader(io.StringIO(as_csv(SMALL, SMALL.measures))))
-    assert {line["measure"] for line in lines} <= {m.column for m in MEASURES}
+    assert {line["measure"] for line in lines} <= set(METRICS)
     (line,) = (
         r for r in lines if (r["scenario"], r["estimator"], r["measure"]) == ("hall-v0", "dead-reckoning", "ate_m")
     )
     runs = [row for row in SMALL.rows if (row.scenario, row.estimator) == ("hall-v0", "dead-reckoning")]
-    values = [row.ate_m for row in runs if row.ate_m is not None]
+    values = [row["ate_m"] for row in runs if row["ate_m"] is not None]
     assert len(values) == 4
     quartiles = [float(line[name]) for name in ("lower_quartile", "median", "upper_quartile")]
     assert quartiles == pytest.approx(np.quantile(values, (0.25, 0.5, 0.75)), rel=1e-14)
@@ -261,7 +261,7 @@ def test_the_page_shows_the_summary_and_all_sections(read_page: "ReadPage") -> N
     assert f"24 runs, 2 scenarios × 3 estimators × 4 seeds: {24 - crashed} with scores, {crashed} crashed." in text
     vio = SMALL.quartiles(ATE, "vio")
     assert vio is not None
-    assert f"vio{ATE.text(vio.median)} m" in text
+    assert f"vio{ATE.compared_text(vio.median)} m" in text
     assert f"{vio.runs - vio.failed} of {vio.runs} runs with scores" in text
     for heading in (
         "Results by scenario",
@@ -302,7 +302,7 @@ def test_names_and_reasons_are_shown_as_text(read_page: "ReadPage") -> None:
         scored(HOSTILE, 0, HOSTILE, 0.1),
         scored(HOSTILE, 0, "--><svg onload=alert(1)>", 0.2),
         scored(f"another {HOSTILE}", 0, HOSTILE, 0.2),
-        replace(failed(HOSTILE, 1, HOSTILE, reason=HOSTILE), config_hash=HOSTILE, versions=HOSTILE, world=HOSTILE),
+        changed(failed(HOSTILE, 1, HOSTILE, reason=HOSTILE), config_hash=HOSTILE, versions=HOSTILE, world=HOSTILE),
     )
     html = benchmark_page(BenchmarkResults(HOSTILE, rows))
     page = read_page(html)
@@ -329,7 +329,7 @@ def test_the_page_does_not_depend_on_the_order_of_the_rows(tmp_path: Path) -> No
         (scored("s", None, "vio", 0.1),),
         (scored("s", 0, "vio", 0.0, cpu_ms_mean=0.0, nees_position=0.0),),
         (scored("s", 0, "vio", math.nan, cpu_ms_mean=None, nees_position=math.inf, sub_trajectory_m=()),),
-        (replace(BASE, ate_m=0.1),),
+        (changed(BASE, ate_m=0.1),),
         (
             scored(
                 "s",

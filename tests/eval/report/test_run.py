@@ -95,8 +95,8 @@ def test_the_page_shows_the_scores(page: "Page", scored: ScoredTrajectory) -> No
     scores = scored.scores
     assert scores.rpe_m is not None
     for value in (
-        f"ATE{scores.ate_m.rmse:.3f} m",
-        f"RPE{scores.rpe_m.rmse:.3f} m",
+        f"ATE{scores.ate_m.rmse:.4f} m",
+        f"RPE{scores.rpe_m.rmse:.4f} m",
         f"Coverage{scores.coverage_percent:.1f} %",
         f"Scale error{scores.scale_error_percent:+.2f} %".replace("-", "−"),
         "seed3",

@@ -114,7 +114,7 @@ def test_each_estimate_has_its_path_colour_and_errors(columns: "EntityColumns", 
         assert np.allclose(np.array(errors["scalars"].to_pylist())[:, 0], estimate.scored.translation_error_m)
         assert errors["names"].to_pylist()[0] == [estimate.name]
         colours.add(errors["colors"].to_pylist()[0][0])
-        assert f"| {estimate.name} | {estimate.scored.scores.ate_m.rmse:.3f} m |" in summary
+        assert f"| {estimate.name} | {estimate.scored.scores.ate_m.rmse:.4f} m |" in summary
     assert len(colours) == 2
 
 

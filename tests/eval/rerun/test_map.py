@@ -33,7 +33,7 @@ def rrd(mapped: "SyntheticFlight", results: MapResults, tmp_path_factory: pytest
     """The file of a run with a map."""
     path = tmp_path_factory.mktemp("rerun") / "run.rrd"
     scored = score_trajectory(mapped.truth, mapped.run.trajectory, mapped.recording.frame_times_ns)
-    write_rrd(path, mapped.recording, mapped.run, scored, of_map=results)
+    write_rrd(path, mapped.recording, mapped.run, scored, mapped=results)
     return path
 
 

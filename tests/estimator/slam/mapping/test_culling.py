@@ -159,12 +159,12 @@ def test_rejected_and_waiting_loops_are_not_passed_on(
     submap, nodes = chain
     right = [true_loop(odometry_flight, k, k + 15) for k in range(4)]
     wrong = RelativePose(0, CULLED, pose_matrix(np.eye(3), np.array([5.0, 5.0, 0.0])), 1e-6 * np.eye(6))
-    judged = submap.with_loops([*right, wrong]).optimized(0)
-    assert set(judged.closed_loops) == set(right)
+    optimized = submap.with_loops([*right, wrong]).optimized(0)
+    assert set(optimized.closed_loops) == set(right)
     waiting = [true_loop(odometry_flight, 1, CULLED), true_loop(odometry_flight, 1, CULLED + 2)]
-    culled = without(judged.with_loops(waiting), nodes)
+    culled = without(optimized.with_loops(waiting), nodes)
     assert culled.graph.loops == (*right, waiting[1]) and culled.waiting == 1
-    assert set(culled.closed_loops) == set(right) and culled.judged == 4
+    assert set(culled.closed_loops) == set(right) and culled.tested_loops == 4
     assert len(culled.history.loops) == 7
 
 

@@ -271,7 +271,7 @@ def test_too_small_a_map_is_given_up(tracks: Tracks) -> None:
     np.testing.assert_allclose(correction.T_map_odom, np.eye(4), atol=1e-9)
 
 
-def test_loops_with_fixed_keyframes_are_judged() -> None:
+def test_loops_with_fixed_keyframes_are_tested() -> None:
     """Factors between fixed keyframes contradict their poses here, and must not hide that the loops agree."""
     poses = {k: pose_matrix(rotation_z(0.05 * k), np.array([0.3 * k, np.sin(0.1 * k), 0.0])) for k in range(80)}
     between = {k: inverse_pose(poses[k]) @ poses[k + 1] for k in range(79)}
@@ -279,6 +279,6 @@ def test_loops_with_fixed_keyframes_are_judged() -> None:
     odometry = tuple(RelativePose(k, k + 1, wrong @ T if k < 39 else T, 1e-6 * np.eye(6)) for k, T in between.items())
     loops = [RelativePose(k, k + 40, inverse_pose(poses[k]) @ poses[k + 40], 1e-6 * np.eye(6)) for k in range(0, 40, 3)]
     loops[2] = replace(loops[2], T_first_second=loops[2].T_first_second @ wrong)
-    fixed = RelativePose(3, 30, np.eye(4), 1e-6 * np.eye(6))  # not judged: both of its keyframes stay
+    fixed = RelativePose(3, 30, np.eye(4), 1e-6 * np.eye(6))  # not tested: both of its keyframes stay
     graph = PoseGraph(0, 1e-8 * np.eye(6), poses, odometry, loops=(*loops, fixed), fixed=tuple(range(40)))
     assert optimize(graph).rejected == {2}

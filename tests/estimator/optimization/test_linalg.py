@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.backend.linalg import CholeskyFactor, SingularError, schur_complement
+from dronevio.estimator.optimization.linalg import CholeskyFactor, SingularError, schur_complement
 
 Array = npt.NDArray[np.float64]
 

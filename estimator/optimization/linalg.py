@@ -1,5 +1,7 @@
 """Dense linear algebra of the smoother: Cholesky factorization and the Schur complement."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
@@ -57,6 +59,37 @@ class CholeskyFactor:
         unit[columns, np.arange(len(columns))] = 1.0
         block = self.solve(unit)[columns]
         return np.asarray(0.5 * (block + block.T))
+
+
+@dataclass(frozen=True, eq=False)
+class LeastNormFactor:
+    """A symmetric matrix that may be singular; solutions are those of the least norm."""
+
+    H: Array
+    """(n, n) The matrix."""
+
+    def solve(self, b: Array) -> Array:
+        """Return H⁺ b for b of shape (n,)."""
+        return np.asarray(np.linalg.lstsq(self.H, b, rcond=None)[0])
+
+
+@dataclass(frozen=True, eq=False)
+class LUFactor:
+    """A matrix that is regular but need not be positive definite."""
+
+    H: Array
+    """(n, n) The matrix."""
+
+    def solve(self, b: Array) -> Array:
+        """Return H⁻¹ b for b of shape (n,).
+
+        Raises:
+            SingularError: The matrix is singular.
+        """
+        try:
+            return np.asarray(np.linalg.solve(self.H, b))
+        except np.linalg.LinAlgError as error:
+            raise SingularError("the linear system is singular") from error
 
 
 def schur_complement(H: Array, b: Array, eliminated: npt.NDArray[np.bool_]) -> tuple[Array, Array]:

@@ -1,0 +1,110 @@
+"""The estimate of the calibration by all windows: an information filter, and which corrections are applied.
+
+The posterior of a window's adjustment is the prior of the next one, so that what no motion has made observable keeps
+the prior of the given calibration. A group of parameters is corrected where it differs from the calibration in use by
+more than the uncertainty explains and by enough to matter. It follows the estimate from then on.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.calibration.config import CalibrationConfig
+from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
+from dronevio.estimator.calibration.parameters import ParameterTable
+from dronevio.estimator.calibration.significance import SignificanceTest
+
+Array = npt.NDArray[np.float64]
+
+INFLATION_CORRECTION = (5e-3, np.radians(1.0))
+"""Corrections of time offset [s] and rotation [rad] to which `CalibrationConfig.inflation_sigmas` correspond."""
+MIN_INFLATION = 0.03
+"""Smallest share of these that is applied, however small a correction is."""
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterEstimate:
+    """What is known of the D corrections after some windows, and those that are applied."""
+
+    mean: Array
+    """(D,) Estimated corrections, whether they are applied or not."""
+    covariance: Array
+    """(D, D) Covariance of the estimated corrections."""
+    newest_covariance: Array
+    """(D, D) That by the last adjustment, also of a part of a window, or by the prior."""
+    applied: Array
+    """(D,) Corrections that are applied to the given calibration."""
+    newest_change: Array
+    """(D,) Change of these by the last correction."""
+    follows: npt.NDArray[np.bool_]
+    """(D,) Whether a parameter has been corrected, and follows the estimate."""
+    is_plausible: bool = True
+    """Whether all corrections so far have been plausible."""
+    is_verified: bool = False
+    """Whether a complete window has been adjusted, or a part of one has corrected the calibration."""
+    updated_ns: int | None = None
+    """Time of the last complete window; None before the first [ns]."""
+
+    @classmethod
+    def prior(cls, parameters: ParameterTable) -> "ParameterEstimate":
+        """Return the estimate before any window."""
+        zeros, covariance = np.zeros_like(parameters.sigmas), np.diag(parameters.sigmas**2)
+        return cls(zeros, covariance, covariance, zeros, zeros, np.zeros(len(zeros), dtype=np.bool_))
+
+    def predicted(self, t_ns: int, walk: Array) -> "ParameterEstimate":
+        """Return the estimate at the time of a window [ns], with the random walk (D,) since the one before."""
+        elapsed_s = 0.0 if self.updated_ns is None else (t_ns - self.updated_ns) * 1e-9
+        return replace(self, covariance=self.covariance + np.diag(walk**2 * elapsed_s), updated_ns=t_ns)
+
+    def fused(self, mean: Array, covariance: Array, *, is_complete: bool) -> "ParameterEstimate":
+        """Return the estimate after an adjustment, of which this one is the prior.
+
+        Those that follow the adjustment of a part of a window contain its observations, too, so that its result is not
+        kept.
+
+        Args:
+            mean: (D,) Corrections by the adjustment.
+            covariance: (D, D) Their covariance.
+            is_complete: Whether the adjustment is that of a complete window.
+        """
+        if not is_complete:
+            return replace(self, newest_covariance=covariance)
+        return replace(self, mean=mean, covariance=covariance, newest_covariance=covariance, is_verified=True)
+
+    def corrected(
+        self, mean: Array, covariance: Array, parameters: ParameterTable, test: SignificanceTest
+    ) -> "ParameterEstimate | None":
+        """Return the estimate with the corrections applied that are significant; None where none is.
+
+        Args:
+            mean: (D,) Corrections by the last adjustment.
+            covariance: (D, D) Their covariance.
+            parameters: The parameters.
+            test: Determines what is significant.
+        """
+        difference, follows, is_corrected = mean - self.applied, self.follows.copy(), False
+        for group in parameters.groups:
+            if test.is_passed(group, difference, covariance, is_first=not self.follows[group.rows[0]]):
+                follows[group.rows] = is_corrected = True
+        if not is_corrected:
+            return None
+        applied, change = np.where(follows, mean, self.applied), np.where(follows, difference, 0.0)
+        is_plausible = self.is_plausible and bool((np.abs(applied) <= parameters.limits).all())
+        return replace(self, applied=applied, newest_change=change, follows=follows, is_plausible=is_plausible)
+
+
+def inflation_share(change: Array) -> float:
+    """Return the share of the covariance inflation that a change (D,) of the applied corrections requires."""
+    c = Corrections.from_vector(change)
+    if c.translation_m.any() or c.focal.any() or c.principal.any():
+        return 1.0
+    sizes = abs(c.time_offset_s), float(np.linalg.norm(c.rotation_rad))
+    return float(np.clip(max(np.divide(sizes, INFLATION_CORRECTION)), MIN_INFLATION, 1.0))
+
+
+def covariance_inflation(change: Array, config: CalibrationConfig) -> Array:
+    """Return the covariance (15, 15) of the error that a change (D,) of the corrections leaves in a state."""
+    is_only_gravity = not np.delete(change, GRAVITY).any()
+    sigmas = np.array(config.gravity_inflation_sigmas if is_only_gravity else config.inflation_sigmas)
+    return np.diag(np.repeat((1.0 if is_only_gravity else inflation_share(change)) * sigmas, 3) ** 2)

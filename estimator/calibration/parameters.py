@@ -1,0 +1,72 @@
+"""The parameters of the online calibration: their priors, and which of them are corrected together."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.calibration.config import CalibratedPart, CalibrationConfig
+from dronevio.estimator.calibration.corrections import COMMON_PARAMETERS, GRAVITY, PARAMETERS_PER_CAMERA
+from dronevio.estimator.types import Integers
+
+Array = npt.NDArray[np.float64]
+
+FIXED_SIGMA = 1e-9
+"""Standard deviation of parameters that are known; it keeps the matrices regular."""
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterGroup:
+    """Parameters that are corrected together."""
+
+    rows: Integers
+    """Their rows in the vector of all parameters."""
+    config: CalibratedPart
+    """Settings of these parameters."""
+    is_rotation: bool = False
+    """Whether they are the rotations of all cameras."""
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterTable:
+    """All D = 2 + 10 C parameters of C cameras and of gravity, in the order of `Corrections`."""
+
+    groups: tuple[ParameterGroup, ...]
+    """The parameters that are corrected. The rotations of all cameras are one group, because a window determines the
+    rotation between two cameras better than that of each."""
+    sigmas: Array
+    """(D,) Standard deviations of the given calibration."""
+    limits: Array
+    """(D,) Largest plausible corrections."""
+    walk: Array
+    """(D,) Random walk, per √s."""
+
+    @classmethod
+    def of(cls, config: CalibrationConfig, cameras: int) -> "ParameterTable":
+        """Return the parameters of a number of cameras.
+
+        The positions of several cameras have a prior also where they are not corrected: errors that stereo matches have
+        in common look like another direction of the baseline.
+        """
+        of_camera = COMMON_PARAMETERS + np.arange(PARAMETERS_PER_CAMERA * cameras).reshape(cameras, -1)
+        groups = [
+            ParameterGroup(np.array([0]), config.time_offset),
+            ParameterGroup(np.array([GRAVITY]), config.gravity),
+            ParameterGroup(of_camera[:, :3].ravel(), config.rotation, is_rotation=True),
+        ]
+        for rows in of_camera:
+            parts = (rows[3:6], config.translation), (rows[6:8], config.focal), (rows[8:], config.principal)
+            groups += [ParameterGroup(*part) for part in parts]
+        sigmas = np.full(COMMON_PARAMETERS + of_camera.size, FIXED_SIGMA)
+        walk = np.zeros(len(sigmas))
+        if cameras > 1:
+            sigmas[of_camera[:, 3:6]] = max(config.position_sigma_m, FIXED_SIGMA)
+        corrected = tuple(group for group in groups if group.config.online)
+        for group in corrected:
+            sigmas[group.rows], walk[group.rows] = group.config.sigma, group.config.walk
+        return cls(corrected, sigmas, config.max_correction_sigmas * sigmas, walk)
+
+    @property
+    def is_unknown(self) -> npt.NDArray[np.bool_]:
+        """(D,) Whether a parameter is an unknown of the adjustments, corrected or not."""
+        return self.sigmas > FIXED_SIGMA

@@ -1,0 +1,119 @@
+"""The information filter over windows, and what of it is applied, by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dronevio.estimator.calibration.config import CalibrationConfig
+from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
+from dronevio.estimator.calibration.estimate import ParameterEstimate, covariance_inflation, inflation_share
+from dronevio.estimator.calibration.parameters import FIXED_SIGMA, ParameterTable
+from dronevio.estimator.calibration.significance import SignificanceTest
+
+Array = npt.NDArray[np.float64]
+
+CONFIG = CalibrationConfig()
+PARAMETERS = ParameterTable.of(CONFIG, 1)
+PRIOR = ParameterEstimate.prior(PARAMETERS)
+TEST = SignificanceTest.of_window(CONFIG, 1, begins_stationary=False)
+CERTAIN = 1e-14 * np.eye(12)
+
+
+def corrections(time_offset_s: float = 0.0, x_rad: float = 0.0, gravity_m_s2: float = 0.0) -> Array:
+    """Return the vector of corrections of one camera."""
+    mean = np.zeros(12)
+    mean[:3] = time_offset_s, gravity_m_s2, x_rad
+    return mean
+
+
+def test_one_camera_has_five_parameters_that_are_corrected() -> None:
+    rows = [group.rows.tolist() for group in PARAMETERS.groups]
+    assert rows == [[0], [GRAVITY], [2, 3, 4]]
+    np.testing.assert_array_equal(np.flatnonzero(PARAMETERS.is_unknown), [0, 1, 2, 3, 4])
+    np.testing.assert_allclose(PARAMETERS.sigmas, [0.01, 0.03, 0.02, 0.02, 0.02, *[FIXED_SIGMA] * 7])
+    np.testing.assert_allclose(PARAMETERS.limits, 5.0 * PARAMETERS.sigmas)
+    np.testing.assert_allclose(PARAMETERS.walk, [1e-5, 0.0, 1e-5, 1e-5, 1e-5, *[0.0] * 7])
+
+
+def test_uncertainty_grows_from_window_to_window() -> None:
+    """By the random walk over four seconds; before the first window, nothing is added."""
+    first = PRIOR.predicted(1_000_000_000, PARAMETERS.walk)
+    np.testing.assert_array_equal(first.covariance, PRIOR.covariance)
+    second = first.predicted(5_000_000_000, PARAMETERS.walk)
+    np.testing.assert_allclose(np.diag(second.covariance - first.covariance)[[0, 1, 2]], [4e-10, 0.0, 4e-10], rtol=1e-6)
+
+
+def test_the_result_of_a_part_of_a_window_is_not_kept() -> None:
+    mean, covariance = corrections(time_offset_s=0.002), 0.5 * PRIOR.covariance
+    part = PRIOR.fused(mean, covariance, is_complete=False)
+    assert not part.mean.any() and not part.is_verified
+    np.testing.assert_array_equal(part.covariance, PRIOR.covariance)
+    np.testing.assert_array_equal(part.newest_covariance, covariance)
+    window = part.fused(mean, covariance, is_complete=True)
+    assert window.is_verified
+    np.testing.assert_array_equal(window.mean, mean)
+    np.testing.assert_array_equal(window.covariance, window.newest_covariance)
+
+
+def test_a_corrected_parameter_follows_the_estimate() -> None:
+    """Also by less than the smallest correction, where another parameter is corrected."""
+    first = PRIOR.corrected(corrections(time_offset_s=0.004, x_rad=0.002), CERTAIN, PARAMETERS, TEST)
+    assert first is not None
+    np.testing.assert_array_equal(first.applied, corrections(time_offset_s=0.004))
+    assert first.follows.tolist() == [True] + [False] * 11
+    second = first.corrected(corrections(time_offset_s=0.0041, x_rad=0.03), CERTAIN, PARAMETERS, TEST)
+    assert second is not None
+    np.testing.assert_array_equal(second.applied, corrections(time_offset_s=0.0041, x_rad=0.03))
+    np.testing.assert_allclose(second.newest_change, corrections(time_offset_s=0.0001, x_rad=0.03), atol=1e-12)
+    assert second.corrected(second.applied, CERTAIN, PARAMETERS, TEST) is None
+
+
+@pytest.mark.parametrize(("sigmas", "is_applied"), [(2.9, False), (3.1, True)])
+def test_a_first_correction_exceeds_three_standard_deviations(sigmas: float, is_applied: bool) -> None:
+    covariance = CERTAIN.copy()
+    covariance[0, 0] = (0.004 / sigmas) ** 2
+    corrected = PRIOR.corrected(corrections(time_offset_s=0.004), covariance, PARAMETERS, TEST)
+    assert (corrected is not None) == is_applied
+    from_rest = SignificanceTest.of_window(CONFIG, 1, begins_stationary=True)
+    assert PRIOR.corrected(corrections(time_offset_s=0.004), covariance, PARAMETERS, from_rest) is None
+
+
+def test_an_implausible_correction_is_remembered() -> None:
+    wrong = PRIOR.corrected(corrections(time_offset_s=0.051), CERTAIN, PARAMETERS, TEST)
+    assert wrong is not None and not wrong.is_plausible
+    later = wrong.corrected(corrections(time_offset_s=0.049), CERTAIN, PARAMETERS, TEST)
+    assert later is not None and not later.is_plausible
+    plausible = PRIOR.corrected(corrections(time_offset_s=0.049), CERTAIN, PARAMETERS, TEST)
+    assert plausible is not None and plausible.is_plausible
+
+
+@pytest.mark.parametrize(
+    ("change", "share"),
+    [
+        (corrections(time_offset_s=-0.002), 0.4),
+        (corrections(x_rad=np.radians(0.5)), 0.5),
+        (corrections(time_offset_s=0.004, x_rad=np.radians(0.5)), 0.8),
+        (corrections(time_offset_s=0.02), 1.0),
+        (corrections(time_offset_s=1e-6), 0.03),
+    ],
+)
+def test_inflation_is_proportional_to_the_correction(change: Array, share: float) -> None:
+    assert inflation_share(change) == pytest.approx(share)
+    sigmas = np.sqrt(np.diag(covariance_inflation(change, CONFIG)))
+    np.testing.assert_allclose(sigmas, share * np.repeat(CONFIG.inflation_sigmas, 3))
+
+
+def test_inflation_by_lenses_is_whole_and_by_gravity_its_own() -> None:
+    for row in (5, 8, 11):  # translation, focal length, principal point
+        assert inflation_share(1e-4 * np.eye(12)[row]) == 1.0
+    sigmas = np.sqrt(np.diag(covariance_inflation(corrections(gravity_m_s2=0.02), CONFIG)))
+    np.testing.assert_allclose(sigmas, np.repeat(CONFIG.gravity_inflation_sigmas, 3))
+
+
+def test_settings_of_a_part_that_is_off_do_not_matter() -> None:
+    off = replace(CONFIG.time_offset, online=False)
+    table = ParameterTable.of(replace(CONFIG, time_offset=off), 1)
+    assert table.sigmas[0] == FIXED_SIGMA and not table.walk[0] and len(table.groups) == 2
+    assert Corrections.from_vector(table.sigmas).gravity_m_s2 == CONFIG.gravity.sigma
