@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib
+from functools import cache
 from typing import Any, get_type_hints
 
 
@@ -28,6 +29,7 @@ class ImportedSettings:
         return kind
 
 
+@cache
 def field_types(kind: type, with_settings: bool) -> dict[str, Any]:
     """Return the types of the fields of a dataclass, with what `typing.Annotated` adds to them.
 

@@ -3,7 +3,6 @@
 import argparse
 import dataclasses
 import json
-import tomllib
 import types
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -117,6 +116,8 @@ def _of_assignment(text: str, settings: Mapping[str, NamedField]) -> Change:
 
 def _of_file(command: type, path: Path, settings: Mapping[str, NamedField]) -> list[Change]:
     """Return the changes of a file."""
+    import tomllib  # here, since help texts do not need it
+
     try:
         text = path.read_text(encoding="utf-8")
         document = _stored(command, path, json.loads(text)) if path.suffix == ".json" else tomllib.loads(text)
@@ -176,6 +177,8 @@ def _parsed(setting: NamedField, text: str) -> Any:
     """Return the value that a text on the command line stands for, in the notation of TOML; other text is a string."""
     if _numbers(setting) is None:
         return text.strip("\"'")
+    import tomllib
+
     lower = text.lower()
     if lower == "none":
         return None

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
-from difflib import get_close_matches
 from functools import cache
 from typing import Annotated, Any, get_args, get_origin
 
@@ -80,6 +79,8 @@ def _within(table: Mapping[str, str] | None, word: str) -> Mapping[str, str] | N
 
 def similar_names(name: str, names: Sequence[str]) -> list[str]:
     """Return the names that somebody who typed another one may have meant, the most probable first."""
+    from difflib import get_close_matches
+
     last = name.rpartition(".")[2]
     within = [each for each in names if each.startswith(f"{name}.")]
     ends = [each for each in names if each.rpartition(".")[2] == last]
