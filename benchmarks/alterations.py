@@ -13,12 +13,12 @@ import numpy as np
 import numpy.typing as npt
 from ruamel.yaml import YAML
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rotation import log_so3
 from dronevio.models.state import Trajectory
 
-Array = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
 Image = npt.NDArray[Any]
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import importlib
-from functools import cache
 from typing import Any, get_type_hints
 
 
@@ -29,7 +28,6 @@ class ImportedSettings:
         return kind
 
 
-@cache
 def field_types(kind: type, with_settings: bool) -> dict[str, Any]:
     """Return the types of the fields of a dataclass, with what `typing.Annotated` adds to them.
 
