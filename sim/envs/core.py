@@ -50,7 +50,7 @@ class StepResult:
 class EpisodeState:
     """State of the episodes of n environments, beside those of physics, IMUs and random numbers."""
 
-    draws: RandomizedParameters
+    randomized: RandomizedParameters
     """Values that were drawn for the episodes."""
     goals: Any
     """Goals and progress of the task."""
@@ -115,7 +115,7 @@ class DroneCore:
         self._loop: EstimatorLoop | None = None
         states, goals = self._begin(count)
         self._episode = EpisodeState(
-            draws=RandomizedParameters.nominal(count, settings.world_seed),
+            randomized=RandomizedParameters.nominal(count, settings.world_seed),
             goals=goals,
             states=states,
             begun_ns=np.zeros(count, dtype=np.int64),
@@ -176,17 +176,17 @@ class DroneCore:
         drawn = settings.randomization.draw(self._rng, rows.size, settings.world_seed)
         states, goals = self._begin(rows.size)
         states, goals, drawn = overridden(settings.task, states, goals, drawn, options, rows, self.count)
-        draws = with_rows(last.draws, rows, drawn)
-        winds = Winds(np.array(settings.wind.mean_m_s) + draws.wind_m_s, settings.wind.gusts + draws.gusts)
-        self.plant.reset(mask, with_rows(last.states, rows, states), draws.parameters(settings.vehicle), winds)
-        self._imu.reset(mask, draws.imu_errors)
+        randomized = with_rows(last.randomized, rows, drawn)
+        winds = Winds(np.array(settings.wind.mean_m_s) + randomized.wind_m_s, settings.wind.gusts + randomized.gusts)
+        self.plant.reset(mask, with_rows(last.states, rows, states), randomized.parameters(settings.vehicle), winds)
+        self._imu.reset(mask, randomized.imu_errors)
         self._episode = EpisodeState(
-            draws=draws,
+            randomized=randomized,
             goals=with_rows(last.goals, rows, goals),
             states=self.plant.states,
             begun_ns=np.where(mask, 0, last.begun_ns),
             action=np.where(mask[:, None], 0.0, last.action),
-            delayed=last.delayed.restarted(mask, draws.latency_s),
+            delayed=last.delayed.restarted(mask, randomized.latency_s),
             loops=last.loops,
             images=None if last.images is None else last.images.demanded(mask),
         )
@@ -194,7 +194,7 @@ class DroneCore:
             self._wait_for_estimate(settings.estimator, states)
         loops = merged(mask, self._mode.start(self._perceived()), last.loops)
         self._episode = replace(self._episode, loops=loops)
-        return {**self._state_info(), "randomization": draws.values()}
+        return {**self._state_info(), "randomization": randomized.values()}
 
     def step(self, actions: npt.NDArray[np.floating[Any]]) -> StepResult:
         """Apply actions for one step.
@@ -221,7 +221,7 @@ class DroneCore:
         goals = task.advance(self.area, last.goals, step)
         terms = task.reward_terms(self.area, last.goals, goals, step)
         images = None if last.images is None else last.images.one_step_later()
-        self._episode = EpisodeState(last.draws, goals, after, last.begun_ns, action, delayed, loops, images)
+        self._episode = EpisodeState(last.randomized, goals, after, last.begun_ns, action, delayed, loops, images)
         reason = np.where((reason == 0) & task.finished(goals), REASONS.index("success"), reason)
         info = {
             "success": task.success(self.area, goals, step) & ~step.failed,
@@ -236,7 +236,7 @@ class DroneCore:
         now = self._episode
         if self._renderer is not None and now.images is not None:
             T_world_imu = self.T_world_vehicle @ self.settings.rig.T_vehicle_imu
-            now = replace(now, images=self._renderer.renewed(now.images, T_world_imu, self.plant.t_ns, now.draws))
+            now = replace(now, images=self._renderer.renewed(now.images, T_world_imu, self.plant.t_ns, now.randomized))
             self._episode = now
         true = ObservedState(
             now.states,
@@ -245,7 +245,7 @@ class DroneCore:
             self._imu.bias,
             lambda: self.plant.wind_m_s,
             now.action,
-            now.draws,
+            now.randomized,
         )
         seen = true if self._loop is None else replace(true, states=self._loop.states(), imu_bias=self._loop.bias)
         return self.arrangement.observe(seen, true, {} if now.images is None else now.images.images)
@@ -314,7 +314,7 @@ class DroneCore:
         self.plant.advance(commands)
         if not self.settings.has_imu:
             return
-        sample = self._imu.measure(interval, self._episode.draws.imu_errors)
+        sample = self._imu.measure(interval, self._episode.randomized.imu_errors)
         if self._loop is not None:
             self._loop.measure(int(self.plant.t_ns[0]), sample[0], self.plant.states)
 
@@ -337,7 +337,7 @@ class DroneCore:
         self._close_loop()
         settings, begun = self.settings, self._episode
         T = pose_matrix(planned.R_world_vehicle[0], planned.position_m[0])
-        cameras = settings.cameras_of_episode(begun.draws, int(self._rng.integers(2**31)))
+        cameras = settings.cameras_of_episode(begun.randomized, int(self._rng.integers(2**31)))
         self._loop = EstimatorLoop(make, settings.rig, settings.estimation, cameras, T, begun.states)
         self._loop.measure(0, self._imu.samples[0, -1], begun.states)
         longest_ns = settings.estimation.longest_wait_s * 1e9

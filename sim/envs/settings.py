@@ -138,24 +138,24 @@ class EnvironmentSettings(Settings):
         images = ImageSettings(self.images, *self.image_size)
         return RenderedObservation(self.rig.cameras[self.camera], self.world, self.world_seed, images, texture_seed)
 
-    def cameras_of_episode(self, draws: RandomizedParameters, noise_seed: int) -> CameraSetup:
+    def cameras_of_episode(self, randomized: RandomizedParameters, noise_seed: int) -> CameraSetup:
         """Return the true cameras of an episode, with drawn mounting errors, light and textures.
 
         Args:
-            draws: Randomization of the episode, one row.
+            randomized: Randomization of the episode, one row.
             noise_seed: Seed of the image noise.
         """
-        error = pose_matrix(exp_so3(draws.camera_rotation_rad[0]), draws.camera_translation_m[0])
+        error = pose_matrix(exp_so3(randomized.camera_rotation_rad[0]), randomized.camera_translation_m[0])
         cameras = tuple(replace(camera, T_imu_cam=error @ camera.T_imu_cam) for camera in self.rig.cameras)
         imaging = self.estimation.imaging
         return CameraSetup(
             rig=replace(self.rig, cameras=cameras),
             world=self.world,
             world_seed=self.world_seed,
-            texture_seed=int(draws.texture_seed[0]),
+            texture_seed=int(randomized.texture_seed[0]),
             noise_seed=noise_seed,
             # the light of a frame is irradiance × exposure time / nominal exposure time
-            imaging=replace(imaging, nominal_exposure_s=imaging.nominal_exposure_s / float(draws.light[0])),
+            imaging=replace(imaging, nominal_exposure_s=imaging.nominal_exposure_s / float(randomized.light[0])),
         )
 
 

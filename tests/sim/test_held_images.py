@@ -49,10 +49,10 @@ class Shown:
         self.sources.append(CountingSource(seed))
         return self.sources[-1]
 
-    def seen(self, draws: RandomizedParameters) -> list[int]:
+    def seen(self, randomized: RandomizedParameters) -> list[int]:
         """Return the grey levels of the images of three environments."""
         poses = np.tile(np.eye(4), (3, 1, 1))
-        self.images = self.renderer.renewed(self.images, poses, np.zeros(3, np.int64), draws)
+        self.images = self.renderer.renewed(self.images, poses, np.zeros(3, np.int64), randomized)
         levels: list[int] = self.images.images["grey"][:, 0, 0, 0].tolist()
         return levels
 
@@ -61,13 +61,13 @@ class Shown:
 
 
 def test_images_are_repeated_until_the_next_is_due() -> None:
-    shown, draws = Shown(2), RandomizedParameters.nominal(3, 0)
-    assert shown.seen(draws) == shown.seen(draws) == [101] * 3
+    shown, randomized = Shown(2), RandomizedParameters.nominal(3, 0)
+    assert shown.seen(randomized) == shown.seen(randomized) == [101] * 3
     shown.step()
     shown.images = shown.images.demanded(np.array([False, True, False]))
-    assert shown.seen(draws) == [101, 102, 101]
+    assert shown.seen(randomized) == [101, 102, 101]
     shown.step()
-    assert shown.seen(draws) == [103, 102, 103]
+    assert shown.seen(randomized) == [103, 102, 103]
     assert [len(poses) for poses in shown.sources[0].poses] == [3, 1, 2]
 
 
@@ -75,14 +75,14 @@ def test_textures_light_and_mounting_are_those_drawn() -> None:
     shown = Shown(1)
     rotation, translation = np.zeros((3, 3)), np.zeros((3, 3))
     rotation[1], translation[1] = [0.1, 0.0, 0.0], [0.0, 0.02, 0.0]
-    draws = replace(
+    randomized = replace(
         RandomizedParameters.nominal(3, 0),
         light=np.array([1.0, 2.0, 9.0]),
         texture_seed=np.array([0, 1, 0]),
         camera_rotation_rad=rotation,
         camera_translation_m=translation,
     )
-    assert shown.seen(draws) == [101, 222, 255]
+    assert shown.seen(randomized) == [101, 222, 255]
     assert [source.texture_seed for source in shown.sources] == [0, 1]
     error = shown.sources[1].poses[0][0]
     np.testing.assert_allclose(error[:3, :3], exp_so3(rotation[1]))
@@ -93,11 +93,11 @@ def test_textures_light_and_mounting_are_those_drawn() -> None:
 
 
 def test_later_images_do_not_change_earlier_ones() -> None:
-    shown, draws = Shown(2), RandomizedParameters.nominal(3, 0)
-    shown.seen(draws)
+    shown, randomized = Shown(2), RandomizedParameters.nominal(3, 0)
+    shown.seen(randomized)
     shown.step()
     saved = shown.images
     shown.images = shown.images.demanded(EVERY)
-    assert shown.seen(draws) == [102] * 3
+    assert shown.seen(randomized) == [102] * 3
     shown.images = saved
-    assert shown.seen(draws) == [101] * 3
+    assert shown.seen(randomized) == [101] * 3

@@ -76,7 +76,7 @@ class PolicyPilot:
         self._flown = _Flown(mission.goals)
         limits = limits_of(mission.area, self._objective(mission.goals), quadrotor, self._intervals)
         self._named = {name: observation_named(name, limits) for name in policy.names}
-        self._draws = RandomizedParameters.nominal(1, mission.scenario.seed)
+        self._randomized = RandomizedParameters.nominal(1, mission.scenario.seed)
         self._limits = replace(mission.bounds, box_m=np.array([[-np.inf] * 3, [np.inf] * 3]))
 
     @property
@@ -151,7 +151,7 @@ class PolicyPilot:
             np.concatenate([state.gyro_bias_rad_s, state.accel_bias_m_s2])[None],
             lambda: np.zeros((1, 3)),
             flown.action,
-            self._draws,
+            self._randomized,
         )
         observation = {name: one.observe(observed) for name, one in self._named.items()}
         action = np.asarray(mission.policy.action(observation), dtype=np.float64)

@@ -55,14 +55,16 @@ class ImageRenderer:
         black = {name: np.zeros((count, *space.shape), space.dtype) for name, space in self.spaces.items()}
         return HeldImages(np.zeros(count, dtype=np.int64), black)
 
-    def renewed(self, held: HeldImages, T_world_imu: Array, t_ns: Times, draws: RandomizedParameters) -> HeldImages:
+    def renewed(
+        self, held: HeldImages, T_world_imu: Array, t_ns: Times, randomized: RandomizedParameters
+    ) -> HeldImages:
         """Return the images after those that are due have been rendered.
 
         Args:
             held: Images of n environments.
             T_world_imu: (n, 4, 4) Poses of the IMUs.
             t_ns: (n,) Times since the starts of the episodes [ns].
-            draws: Parameters of the episodes: mounting errors, light and textures.
+            randomized: Parameters of the episodes: mounting errors, light and textures.
 
         Raises:
             GraphicsError: Off-screen OpenGL is not available.
@@ -71,9 +73,9 @@ class ImageRenderer:
         if not due.size:
             return held
         images = {name: image.copy() for name, image in held.images.items()}
-        for seed in np.unique(draws.texture_seed[due]).tolist():
-            rows = due[draws.texture_seed[due] == seed]
-            for name, image in self._rendered(rows, T_world_imu, t_ns, draws, self._source(seed)).items():
+        for seed in np.unique(randomized.texture_seed[due]).tolist():
+            rows = due[randomized.texture_seed[due] == seed]
+            for name, image in self._rendered(rows, T_world_imu, t_ns, randomized, self._source(seed)).items():
                 images[name][rows] = image
         due_in = held.due_in.copy()
         due_in[due] = self._period
@@ -91,12 +93,12 @@ class ImageRenderer:
         return self._sources[texture_seed]
 
     def _rendered(
-        self, rows: Rows, T_world_imu: Array, t_ns: Times, draws: RandomizedParameters, source: CameraObservation
+        self, rows: Rows, T_world_imu: Array, t_ns: Times, randomized: RandomizedParameters, source: CameraObservation
     ) -> Images:
         """Return the images of some environments."""
-        error = pose_matrix(exp_so3(draws.camera_rotation_rad[rows]), draws.camera_translation_m[rows])
+        error = pose_matrix(exp_so3(randomized.camera_rotation_rad[rows]), randomized.camera_translation_m[rows])
         images = source.observe(T_world_imu[rows] @ error, t_ns[rows])
-        return {name: _lit(image, draws.light[rows]) for name, image in images.items()}
+        return {name: _lit(image, randomized.light[rows]) for name, image in images.items()}
 
 
 def _lit(images: npt.NDArray[Any], light: Array) -> npt.NDArray[Any]:
