@@ -20,11 +20,10 @@ from dronevio.estimator.frontend.protocol import AtExposure, FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.types import Observations
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, NavState
-
-Array = npt.NDArray[np.float64]
 
 OUTLIER_SHARE = 0.2
 _JUMP = 0.1  # standard deviation of independent errors relative to depth, 46 px at EuRoC's focal length

@@ -38,6 +38,7 @@ from dronevio.estimator.dense.views import View, ViewLoader
 from dronevio.estimator.sfm.pipeline import reconstruct
 from dronevio.eval.metrics.alignment import umeyama
 from dronevio.eval.metrics.clouds import CloudScore, compare_clouds, mesh_points, voxel_means
+from dronevio.models.arrays import Array, Floats
 from dronevio.models.image_sets import ImageSet, image_recording
 from dronevio.models.protocols import Recording
 from dronevio.models.reconstruction import Reconstruction
@@ -45,8 +46,6 @@ from dronevio.models.reconstructions import read_reconstruction, write_reconstru
 from dronevio.models.rotation import matrix_from_quat_wxyz
 from dronevio.models.surfaces import Mesh
 
-Array = npt.NDArray[np.float64]
-Floats = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 
 VOXEL_M = 0.01

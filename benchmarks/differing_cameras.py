@@ -16,12 +16,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import tyro
 from measuring import ChangedRecording, frames_of, odometry, print_rows, with_truth
 
 from dronevio.eval.run import EstimatorRun
 from dronevio.evaluation import ate
+from dronevio.models.arrays import Image
 from dronevio.models.imu import Times
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.calibration.kalibr import camchain_yaml, imu_yaml
@@ -35,8 +35,6 @@ from dronevio.sim.cameras.schedule import FrameSchedule
 from dronevio.sim.refly import FlownPath, cut, refly
 from dronevio.sim.rendering.render import render_frames
 from dronevio.sim.rendering.render_job import RenderJob
-
-Image = npt.NDArray[np.uint8]
 
 MAX_RATIO, MIN_TRACKING = 1.2, 0.98
 BOTH_HALVED, FIRST_HALVED = "both cameras at half size", "first camera at half size"

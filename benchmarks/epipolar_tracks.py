@@ -17,10 +17,8 @@ import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.rotation import exp_so3, log_so3
-
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 AGES = (1, 5, 10, 20, 40)
 """Ages of tracks at which residuals are reported [frames]."""

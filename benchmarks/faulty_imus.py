@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import tyro
 from measuring import NO_POSE, ChangedRecording, frames_of, odometry, opened, print_rows, section_of
 
@@ -27,10 +26,10 @@ from dronevio.estimator.imu.outliers import outlying_samples
 from dronevio.eval.metrics.scores import score
 from dronevio.eval.run import EstimatorRun
 from dronevio.eval.tracking import tracking_errors, tracking_sigmas
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
 from dronevio.models.state import Health
 
-Array = npt.NDArray[np.float64]
 Fault = Callable[[ChangedRecording, np.random.Generator], ChangedRecording]
 
 FALSE_RATE_SAMPLES = 10_000

@@ -24,13 +24,13 @@ import numpy as np
 import numpy.typing as npt
 import tyro
 from epipolar_tracks import REFINEMENT_AGES, refined_poses, view_pairs
-from image_realism import Array, Section, Tracked, by_age, front_end_tracks, reference_tracks, rotations, section_of
+from image_realism import Section, Tracked, by_age, front_end_tracks, reference_tracks, rotations, section_of
 from measuring import ChangedRecording, odometry, print_as_made, text
 
 from dronevio.eval.metrics.scores import score
+from dronevio.models.arrays import Array, Image
 from dronevio.models.errors import EvaluationError
 
-Image = npt.NDArray[np.uint8]
 Condition = Callable[[Image, int, int], Image]
 """Maps an image (H, W), the index of its frame and the index of its camera to the changed image."""
 

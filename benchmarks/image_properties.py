@@ -13,9 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.frontend.klt import match_brightness
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
+from dronevio.models.arrays import Array, Image
 
 LEVELS = (20, 60, 100, 140, 180, 220)
 """Centres of the ranges of grey levels for which the noise is estimated."""

@@ -41,14 +41,12 @@ from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.frontend.tracker import TrackerConfig
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.eval.metrics.association import interpolate
+from dronevio.models.arrays import Array, Image
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.rotation import log_so3
 from dronevio.models.state import CameraFrame, Trajectory
 from dronevio.sim.cameras.interpolation import interpolated_poses
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 
 FEATURES = 187
 """Number of features of the reference, that of the front end's grid on an image of 752 × 480."""

@@ -12,25 +12,20 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import clock_steps
 import cv2
 import numpy as np
-import numpy.typing as npt
 import tyro
 from measuring import ChangedRecording, print_rows, section_of
-from rosbags.rosbag2 import Reader, Writer
-from rosbags.typesys import Stores, get_typestore
 from wrong_inputs import FAULTS, Change, of_images, of_order
 
 from dronevio.inspection.inspection import inspect
 from dronevio.inspection.model import Finding, Inspection, Verdict
-from dronevio.models.imu import ImuSamples
+from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.protocols import Recording
-from dronevio.models.recordings.bag.writer import write_bag
 from dronevio.models.recordings.open import open_recording
 
-Array = npt.NDArray[np.float64]
-
-STEP_NS, CAMERA_STEP_NS = 3_013_000_000, 100_000_000
+STEP_S, CAMERA_STEP_NS = -3.013, 100_000_000
 DRIFTS_PPM = (500.0, 2000.0)
 OUTLIERS = 12
 BURST = 5
@@ -134,68 +129,47 @@ def copied(source: Path, folder: Path) -> Path:
     return target
 
 
-def rewrite(table: Path, change: Callable[[int, list[str]], list[str] | None]) -> None:
-    """Change the rows of a table, by their index and their cells; None leaves a row out."""
-    head, *rows = table.read_text().splitlines()
-    changed = (change(k, row.split(",")) for k, row in enumerate(rows))
-    table.write_text("\n".join([head, *(",".join(cells) for cells in changed if cells is not None)]) + "\n")
-
-
-def clock_step(folder: Path) -> None:
-    """Let all time stamps fall by 3 s in the middle."""
-    mav0 = folder / "mav0"
-    for table in sorted(mav0.glob("*/data.csv")):
-        if table.parent.name.startswith(("cam", "imu")):
-            times = [int(row.split(",")[0]) for row in table.read_text().splitlines()[1:]]
-            middle_ns = (times[0] + times[-1]) // 2
-            rewrite(table, lambda _, c, m=middle_ns: [str(int(c[0]) - STEP_NS * (int(c[0]) > m)), *c[1:]])  # type: ignore[misc]
-
-
-def bursts(folder: Path) -> None:
-    """Give the IMU samples the stamp of every fifth."""
-    table = folder / "mav0" / "imu0" / "data.csv"
-    times = [row.split(",")[0] for row in table.read_text().splitlines()[1:]]
-    rewrite(table, lambda k, cells: [times[min(k - k % BURST + BURST - 1, len(times) - 1)], *cells[1:]])
-
-
-def unpaired(folder: Path) -> None:
+def unpaired(name: str, t_ns: Times) -> tuple[Times, clock_steps.Order]:
     """Leave out every third image of the second camera."""
-    rewrite(folder / "mav0" / "cam1" / "data.csv", lambda k, cells: None if k % 3 == 0 else cells)
+    rows = clock_steps.kept(t_ns)
+    return t_ns, rows[rows % 3 != 0] if name == "cam1" else rows
 
 
-def twelve_bits(folder: Path) -> None:
-    """Store the images with 12 bits in files of 16."""
-    for link in sorted(folder.rglob("*.png")):
+def with_twelve_bits(source: Path, folder: Path) -> Path:
+    """Return a copy of an EuRoC folder whose images are stored with 12 bits in files of 16."""
+    copy = copied(source, folder)
+    for link in sorted(copy.rglob("*.png")):
         image = cv2.imread(str(link), cv2.IMREAD_GRAYSCALE)
         assert image is not None
         link.unlink()
         cv2.imwrite(str(link), image.astype(np.uint16) * 16 + 7)
+    return copy
 
 
-FILES: Mapping[str, tuple[Callable[[Path], None], tuple[str, ...]]] = {
-    "clock-step": (clock_step, ("clock step",)),
-    "imu-bursts": (bursts, ("burst of IMU samples", "IMU jitter")),
-    "images-unpaired": (unpaired, ("unpaired image",)),
-    "images-12-bit": (twelve_bits, ("bit depth",)),
+def with_clock_step(source: Path, folder: Path) -> Path:
+    """Return a copy of a recording whose time stamps fall by 3 s in the middle."""
+    t_ns = open_recording(source).frame_times_ns
+    change = clock_steps.step(STEP_S, ("imu0", "cam0", "cam1"), int(t_ns[len(t_ns) // 2]))
+    return clock_steps.folder_copy(source, folder, change)
+
+
+FILES: Mapping[str, tuple[Callable[[Path, Path], Path], tuple[str, ...]]] = {
+    "clock-step": (with_clock_step, ("clock step",)),
+    "imu-bursts": (
+        lambda source, folder: clock_steps.folder_copy(source, folder, clock_steps.bursts(BURST)),
+        ("burst of IMU samples", "IMU jitter"),
+    ),
+    "images-unpaired": (
+        lambda source, folder: clock_steps.folder_copy(source, folder, unpaired),
+        ("unpaired image",),
+    ),
+    "images-12-bit": (with_twelve_bits, ("bit depth",)),
+    "unset-stamps": (
+        lambda source, folder: clock_steps.bag_copy(open_recording(source), folder / "bag", clock_steps.unset("/")),
+        ("unset time stamp",),
+    ),
 }
-"""Alterations of the files of a recording, each with the rows that name it."""
-
-
-def unset_stamps(source: Path, folder: Path) -> Path:
-    """Return a bag of a recording whose messages have the stamp 0."""
-    write_bag(folder / "bag", open_recording(source), "mcap", "png")
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    target = folder / "unset"
-    with Reader(folder / "bag") as reader, Writer(target, version=9) as writer:
-        topics = {
-            c.id: writer.add_connection(c.topic, c.msgtype, typestore=store, serialization_format="cdr")
-            for c in reader.connections
-        }
-        for connection, t_ns, raw in reader.messages():
-            stamped = connection.msgtype in ("sensor_msgs/msg/Imu", "sensor_msgs/msg/CompressedImage")
-            data = bytes(raw[:4]) + bytes(8) + bytes(raw[12:]) if stamped else bytes(raw)
-            writer.write(topics[connection.id], t_ns, data)
-    return target
+"""Functions that write an altered copy of a recording into a folder, each with the rows that name the alteration."""
 
 
 def label(finding: Finding) -> str:
@@ -245,13 +219,7 @@ def main(command: InspectedCommand) -> int:
         if command.only and name not in command.only:
             continue
         with tempfile.TemporaryDirectory() as folder:
-            copy = copied(command.recording, Path(folder))
-            alter(copy)
-            rows.append(row_of(name, expected, inspect(copy)))
-    if not command.only or "unset-stamps" in command.only:
-        with tempfile.TemporaryDirectory() as folder:
-            bag = unset_stamps(command.recording, Path(folder))
-            rows.append(row_of("unset-stamps", ("unset time stamp",), inspect(bag)))
+            rows.append(row_of(name, expected, inspect(alter(command.recording, Path(folder)))))
     named = sum(row["named"] == "yes" for row in rows)
     print_rows(f"{recording.name}: {named} of {len(rows)} named", rows, left=("named", "further rows", "said"))
     sound = []

@@ -29,6 +29,7 @@ from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.eval.metrics.association import interpolate, nearest_rows
 from dronevio.eval.metrics.revisits import LoopTolerance, RevisitRule, Views, find_revisits
 from dronevio.eval.run import POSE_IS_VALID
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements
@@ -38,8 +39,6 @@ from dronevio.models.recordings.scenario_file import world_of
 from dronevio.models.rotation import inverse_pose, log_so3, pose_matrix, rotation_z, yaw_rad_from_matrix
 from dronevio.models.state import Estimate, Health
 from dronevio.recording.excerpts import SplicedRecording
-
-Array = npt.NDArray[np.float64]
 
 BEFORE_S, AFTER_S = 10.0, 10.0
 """Shortest time in the air before the splice, and time after it that is estimated [s]."""

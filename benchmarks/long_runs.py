@@ -22,12 +22,11 @@ import tyro
 from dronevio.cli.terminal import print_table
 from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.types import Observations
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import rotation_z
 from dronevio.models.state import CameraFrame
-
-Array = npt.NDArray[np.float64]
 
 FRAME_NS, IMU_NS = 50_000_000, 5_000_000
 MOVING_S, LOST_AT_S = 2.0, 20.0

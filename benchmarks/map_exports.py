@@ -18,7 +18,6 @@ from typing import Annotated
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 import tyro
 from measuring import opened, print_as_made, text
 
@@ -27,11 +26,10 @@ from dronevio.estimator.slam.map.odometry_factors import RelativePose
 from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.errors import ate
+from dronevio.models.arrays import Array
 from dronevio.models.protocols import Recording
 from dronevio.models.rotation import inverse_pose, matrix_from_quat_wxyz, pose_matrix
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -45,8 +45,6 @@ from dronevio.models.state import Trajectory
 from dronevio.sim.inertial.imu import ImuErrors
 from dronevio.sim.paths.spline import SmoothMotion
 
-Array = npt.NDArray[np.float64]
-
 TRACK_SIGMA_PX = 0.05
 """Standard deviation of the simulated tracks [px]."""
 NOISES = (0.0, 1.0, 3.0, 10.0)

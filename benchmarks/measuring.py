@@ -21,13 +21,13 @@ from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.alignment import align
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.run import EstimatorRun
+from dronevio.models.arrays import Integers
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Health, Trajectory
 
-Integers = npt.NDArray[np.int64]
 Row = Mapping[str, str]
 """The cells of a row by the headings of their columns, which are the same in all rows of a table."""
 Result = TypeVar("Result")

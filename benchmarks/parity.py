@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.eval.metrics import (
     Alignment,
@@ -36,11 +35,10 @@ from dronevio.eval.metrics import (
 )
 from dronevio.eval.metrics.errors import distance_errors_percent
 from dronevio.eval.metrics.kitti import KittiAlignment, kitti_scores
+from dronevio.models.arrays import Array
 from dronevio.models.recordings.kitti import read_kitti_poses
 from dronevio.models.recordings.trajectory_file import read_trajectory_file
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 AGREEMENT = 1e-6
 """Largest relative difference of two figures that are equal."""

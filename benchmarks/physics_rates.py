@@ -12,10 +12,10 @@ controller and at the end of the flight without one::
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import tyro
 
 from dronevio.cli.terminal import print_table
+from dronevio.models.arrays import Array
 from dronevio.models.quadrotor import RESEARCH
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import log_so3
@@ -23,8 +23,6 @@ from dronevio.sim.physics.batch_plant import BatchPlant
 from dronevio.sim.physics.cascade import Body, Cascade, attitude_along
 from dronevio.sim.physics.gains import Gains
 from dronevio.sim.physics.vehicle_states import VehicleStates
-
-Array = npt.NDArray[np.float64]
 
 RATES_HZ = (400, 600, 1000, 2000)
 """Rates of the physics [Hz]."""

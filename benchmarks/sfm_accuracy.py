@@ -36,13 +36,12 @@ from dronevio.estimator.sfm.pairs import select_pairs
 from dronevio.estimator.sfm.pipeline import reconstruct
 from dronevio.eval.metrics.alignment import umeyama
 from dronevio.eval.metrics.association import interpolate
+from dronevio.models.arrays import Array
 from dronevio.models.image_sets import ImageSet, image_recording
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording, read_trajectory
 from dronevio.models.rotation import matrix_from_quat_wxyz
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 MIN_SPEED_M_S = 0.1
 """Speed above which a frame counts as moving [m/s]."""

@@ -24,19 +24,17 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import tyro
 from measuring import print_rows, text
 
 from dronevio.estimator.sfm.pipeline import reconstruct
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.image_sets import ImageSet, image_folder, joined
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.reconstructions import read_reconstruction
 from dronevio.models.rig import EUROC_CAM0, EUROC_CAM1, EUROC_T_IMU_CAM0, EUROC_T_IMU_CAM1
 from dronevio.models.rotation import inverse_pose, log_so3
-
-Array = npt.NDArray[np.float64]
 
 MOTORCYCLE_FOCAL_PX, MOTORCYCLE_CENTRE_PX, MOTORCYCLE_DX_PX = 994.978, (311.193, 254.877), 31.086
 """Calibration of the two images of the motorcycle, as scikit-image documents it [px]."""

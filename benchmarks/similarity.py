@@ -20,14 +20,13 @@ import numpy as np
 import numpy.typing as npt
 from measuring import ChangedRecording
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuModel, Times
 from dronevio.models.protocols import Recording
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import log_so3
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 
 def similar(recording: Recording, s: float, gyro_bias_rad_s: Array) -> ChangedRecording:

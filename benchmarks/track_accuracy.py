@@ -32,13 +32,13 @@ from dronevio.estimator.frontend.tracker import TrackerConfig
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.types import Observations
 from dronevio.eval.metrics.association import interpolate
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.recordings.euroc import EurocRecording
 from dronevio.models.recordings.scenario_file import SCENARIO_FILE
 from dronevio.models.rotation import inverse_pose
 from dronevio.models.state import Trajectory
 
-Array = npt.NDArray[np.float64]
 Depth = npt.NDArray[np.float32]
 DepthAt = Callable[[Array], Depth]
 """Maps the pose (4, 4) of the first camera to its depth image (H, W) [m]."""

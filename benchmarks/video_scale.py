@@ -14,17 +14,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import tyro
 
 import dronevio as dv
+from dronevio.models.arrays import Array
 from dronevio.models.image_sets.recording import image_recording
 from dronevio.models.imu import ImuSamples
 from dronevio.models.imu_presets import imu_named
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.rotation import exp_so3, log_so3
-
-Array = npt.NDArray[np.float64]
 
 START_S = 1.5e9
 WINDOWS_S = ((0.0, 1.5), (0.0, 3.0), (1.0, 4.0), (2.0, 5.0), (0.0, 4.0), (0.0, 5.5), (0.0, 11.0))

@@ -31,14 +31,13 @@ from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.consistency import errors_and_sigmas_m
 from dronevio.eval.run import EstimatorRun
 from dronevio.eval.tracking import is_tracking
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import CameraFrame, Health, Trajectory
-
-Array = npt.NDArray[np.float64]
 
 LATE_NS = 500_000_000
 SIGMAS, LEAST_M, LARGEST_M = 5.0, 0.3, 1.0

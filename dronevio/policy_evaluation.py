@@ -9,12 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 import dronevio.envs  # noqa: F401 registers the environments
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.policies.policy import Policy
 from dronevio.models.progress import Progress, silent
 from dronevio.sim.envs.tasks import task_named
-
-Array = npt.NDArray[np.float64]
 
 MOST_AT_ONCE = 256
 """Largest number of environments that are stepped together."""

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.sfm.model import KnownPoses
 from dronevio.estimator.sfm.placement.world import WorldFrame
 from dronevio.eval.metrics.association import interpolate
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.reconstruction import Reconstruction
@@ -19,7 +19,6 @@ from dronevio.models.reconstructions.colmap import is_colmap
 from dronevio.models.recordings.files import read_text
 from dronevio.models.recordings.open import read_trajectory
 
-Array = npt.NDArray[np.float64]
 PosesOf = Literal["imu", "camera"]
 """Whose poses a trajectory states."""
 

@@ -4,14 +4,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.backend.smoother import Keyframe, KeyframeSmoother
-from dronevio.estimator.types import Calibration, Integers, Observations
+from dronevio.estimator.types import Calibration, Observations
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.state import CameraFrame, NavState
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

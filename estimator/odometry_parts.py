@@ -3,9 +3,6 @@
 from dataclasses import dataclass
 from typing import Self
 
-import numpy as np
-import numpy.typing as npt
-
 from dronevio.estimator.backend.keyframes import KeyframePolicy
 from dronevio.estimator.backend.smoother import KeyframeSmoother
 from dronevio.estimator.calibration.calibrator import Calibrator
@@ -23,10 +20,9 @@ from dronevio.estimator.output import Publisher
 from dronevio.estimator.pipeline import MeasurementPipeline
 from dronevio.estimator.propagator import Propagator
 from dronevio.estimator.types import Calibration, Observations
+from dronevio.models.arrays import Array
 from dronevio.models.rig import Rig
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,9 +6,6 @@ the initializer) change in place.
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-import numpy.typing as npt
-
 from dronevio.estimator.backend.smoother import KeyframeSmoother
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.initialization.gauge import BiasPrior, Gauge
@@ -16,10 +13,8 @@ from dronevio.estimator.initialization.initializer import Initializer
 from dronevio.estimator.monitoring.monitor import HealthMonitor
 from dronevio.estimator.monitoring.plausibility import MotionLimits
 from dronevio.estimator.propagator import Propagator, velocity_may_be_zero
+from dronevio.models.arrays import Array
 from dronevio.models.state import Estimate, Health
-
-Array = npt.NDArray[np.float64]
-
 
 NO_ESTIMATE = Estimate(0, Health.INITIALIZING, None)
 """The estimate before the first frame."""

@@ -1,18 +1,14 @@
 """The output of the odometry: estimates with their events, withheld until they are certain enough."""
 
-import numpy as np
-import numpy.typing as npt
-
 from dronevio.estimator.initialization.initializer import InitializerConfig, not_ready_reason
 from dronevio.estimator.initialization.not_observable import ACCEL_DISAGREES, ROTATION_DISAGREES, NotObservable
 from dronevio.estimator.monitoring.causes import Cause, Reason
 from dronevio.estimator.monitoring.config import HealthConfig
 from dronevio.estimator.monitoring.health import Assessment, health_report, report_of
 from dronevio.estimator.types import FramePacket, Observations
+from dronevio.models.arrays import Array
 from dronevio.models.imu import IMU_GAP_INTERVALS
 from dronevio.models.state import Estimate, FeatureTracks, Health, HealthQuantities, HealthReport, NavState
-
-Array = npt.NDArray[np.float64]
 
 REPEATED_IMAGES = "the image does not change although the vehicle moves: not used"
 """Event at the first of several equal images."""

@@ -25,13 +25,11 @@ from dronevio.estimator.monitoring.innovation import Innovation
 from dronevio.estimator.monitoring.stamp_error import StampCorrection
 from dronevio.estimator.propagator import propagated
 from dronevio.estimator.types import Calibration, FramePacket, Observations
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, NavState
-
-Array = npt.NDArray[np.float64]
-
 
 CONTRADICTED_SIGMA_RAD = 0.02
 """Standard deviation of the rotation between frames by a gyroscope that the images contradict [rad]."""

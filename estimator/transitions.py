@@ -2,9 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
-import numpy.typing as npt
-
 from dronevio.estimator.calibration.rotation_offset import RotationOffset
 from dronevio.estimator.initialization.gauge import LastPublished
 from dronevio.estimator.initialization.not_observable import NotObservable
@@ -14,9 +11,8 @@ from dronevio.estimator.monitoring.plausibility import MotionLimits, reason_agai
 from dronevio.estimator.odometry_parts import OdometryParts
 from dronevio.estimator.odometry_state import Initializing, OdometryState, Tracking
 from dronevio.estimator.types import FramePacket
+from dronevio.models.arrays import Array
 from dronevio.models.state import HealthQuantities, NavState
-
-Array = npt.NDArray[np.float64]
 
 
 def initialize(parts: OdometryParts, state: OdometryState, phase: Initializing, packet: FramePacket) -> OdometryState:

@@ -4,13 +4,10 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.rig import Rig
-
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 GAUGE_SIGMA = 1e-4
 """Standard deviation of the gauge, yaw [rad] and position [m], at initialization. The gauge is known by definition;

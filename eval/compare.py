@@ -24,14 +24,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.eval.benchmark.metrics import METRICS
 from dronevio.eval.benchmark.rows import Identity, Row, run_name
 from dronevio.eval.benchmark.summary import known_values
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError, EvaluationError
 
-Array = npt.NDArray[np.float64]
 Pair = tuple[Row, Row]
 """Runs of the first and the second benchmark with the same scenario, seed and estimator."""
 

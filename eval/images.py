@@ -2,10 +2,8 @@
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-Image = npt.NDArray[np.uint8]
-"""An image (H, W), grey, or (H, W, 3), with red, green and blue."""
+from dronevio.models.arrays import Image
 
 
 def downscaled(image: Image, longest_side: int) -> Image:

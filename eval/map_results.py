@@ -8,13 +8,12 @@ import numpy.typing as npt
 
 from dronevio.eval.metrics import IDENTITY, Alignment, ScoredTrajectory, Scores, score_trajectory
 from dronevio.eval.run import EstimatorRun
+from dronevio.models.arrays import Array
 from dronevio.models.imu import Times
 from dronevio.models.protocols import Recording
 from dronevio.models.rotation import yaw_rad_from_matrix
 from dronevio.models.slam_map import SlamMap
 from dronevio.models.state import Estimate, Trajectory
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

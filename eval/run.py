@@ -9,14 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.eval.metrics.scores import coverage_percent, initialization_s
+from dronevio.models.arrays import Array
 from dronevio.models.defects import Defect
 from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import Times
 from dronevio.models.protocols import Recording
 from dronevio.models.slam_map import SlamMap
 from dronevio.models.state import Estimate, FeatureTracks, Health, NavState, Trajectory
-
-Array = npt.NDArray[np.float64]
 
 POSE_IS_VALID = frozenset({Health.TRACKING, Health.INERTIAL_ONLY})
 """Health states in which the pose of an estimate is valid."""

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.eval.metrics.reconstruction import valid_errors_px
+from dronevio.models.arrays import Array
 from dronevio.models.reconstruction import Reconstruction
-
-Array = npt.NDArray[np.float64]
 
 VIEWER_FIELD_OF_VIEW_RAD = np.radians(55.0)
 """Vertical field of view of the rerun viewer's 3D view, and of perspective pictures."""

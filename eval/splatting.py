@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
+from dronevio.models.arrays import Array, Image
 
 BACKGROUND = (18, 21, 26)
 """Colour where there is no point; that of the 3D view in the rerun viewer."""

@@ -1,7 +1,6 @@
 """A viewpoint from which dense surfaces fill a picture."""
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.eval.scene import (
     VIEWER_FIELD_OF_VIEW_RAD,
@@ -10,9 +9,8 @@ from dronevio.eval.scene import (
     view_axes,
     view_azimuth_deg,
 )
+from dronevio.models.arrays import Array
 from dronevio.models.reconstruction import Reconstruction
-
-Array = npt.NDArray[np.float64]
 
 _MAX_FITTED = 50_000  # points from which the viewpoint is chosen
 _INNER_PERCENT = (3.0, 97.0)  # percentiles of the coordinates of the points that fill a picture

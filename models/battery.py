@@ -4,11 +4,9 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.ranges import Range, Settings
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,11 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.lenses.lens import LENSES, LensName, check_coefficients
 from dronevio.models.ranges import Range, Settings
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 DEFECT = "a defect in dronevio"
-"""How messages call a failure that is not the user's: of an exception that nothing expects, or a worker that dies."""
+"""Name, in messages, of a failure that the user did not cause: an unexpected exception, or a worker that dies."""
 
 
 class DefectError(Exception):

@@ -8,10 +8,10 @@ from typing import Literal, Self
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import exp_so3
 
-Array = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
 Sampling = Literal["increment", "point"]
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, log_so3, pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
 
-Array = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
 
 

@@ -4,14 +4,11 @@ from collections.abc import Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, NavState, Trajectory
-
-Array = npt.NDArray[np.float64]
-
 
 MAX_WAIT_INTERVALS = 1.5
 """Longest time for which a frame waits for the next IMU sample, in sampling intervals: the nominal interval or, if that

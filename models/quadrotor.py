@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.battery import Battery
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.vibration import NO_VIBRATION, RotorVibration
-
-Array = npt.NDArray[np.float64]
 
 _MJCF = Path(__file__).parent / "mjcf"
 

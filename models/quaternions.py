@@ -11,9 +11,9 @@ All functions broadcast. Quaternions need not be of unit length, except where th
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
+
 Components = tuple[Array, Array, Array, Array]
 """w, x, y and z, each (…)."""
 

@@ -16,16 +16,16 @@ from dronevio.models.errors import ConfigError
 
 @dataclass(frozen=True)
 class Range:
-    """The allowed values of a number. NaN is in no range."""
+    """Allowed values of a number. NaN is in no range."""
 
     low: float | None = None
-    """Smallest allowed value."""
+    """Inclusive lower bound."""
     high: float | None = None
-    """Largest allowed value."""
+    """Inclusive upper bound."""
     above: float | None = None
-    """Largest value that is too small; in place of `low`."""
+    """Exclusive lower bound, instead of `low`."""
     below: float | None = None
-    """Smallest value that is too large; in place of `high`."""
+    """Exclusive upper bound, instead of `high`."""
     odd: bool = False
     """Whether only odd numbers are allowed."""
     infinite: bool = False

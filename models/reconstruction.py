@@ -6,10 +6,10 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 

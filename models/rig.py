@@ -4,14 +4,12 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import EUROC_IMU, ImuModel
 from dronevio.models.ranges import Range, Settings, require
-
-Array = npt.NDArray[np.float64]
 
 _ORTHONORMAL = 1e-4  # published extrinsics have as few as 5 digits
 

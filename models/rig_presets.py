@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
@@ -16,8 +15,6 @@ from dronevio.models.imu import EUROC_IMU, ImuModel
 from dronevio.models.imu_presets import BMI088
 from dronevio.models.rig import EUROC_CAM1, EUROC_T_IMU_CAM1, Rig, RigCamera, euroc_rig
 from dronevio.models.rotation import pose_matrix
-
-Array = npt.NDArray[np.float64]
 
 PINHOLE = CameraModel(width=752, height=480, fx=458.0, fy=458.0, cx=375.5, cy=239.5)
 """Pinhole camera with EuRoC's image size and rounded focal length, and the principal point at the image centre."""

@@ -10,7 +10,7 @@ Reference: Solà, Deray, Atchuthan, "A micro Lie theory for state estimation in 
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 _IDENTITY = np.eye(3)
 _SMALL_ANGLE_RAD = 1e-7  # below it, the first terms of the series are exact to double precision

@@ -9,13 +9,11 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.defects import Defect
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
 from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix, quat_wxyz_from_matrix
-
-Array = npt.NDArray[np.float64]
-
 
 NO_IMAGE: npt.NDArray[np.uint8] = np.zeros((0, 0), np.uint8)
 """Image without pixels, in place of one that a camera lacks at the time of a frame."""

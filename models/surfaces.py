@@ -6,9 +6,9 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 
-Array = npt.NDArray[np.float64]
 Colours = npt.NDArray[np.uint8]
 Triangles = npt.NDArray[np.int64]
 

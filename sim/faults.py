@@ -4,15 +4,12 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.models.imu import ImuModel
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.sim.physics.rotors import MotorFailure
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2, ImuConstants, ImuSamples, Times
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Controller
@@ -23,8 +23,6 @@ from dronevio.sim.physics.controller import SE3Controller
 from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.world import collision_spec, flight_area
-
-Array = npt.NDArray[np.float64]
 
 ControllerFactory = Callable[[Reference, Array, Quadrotor], Controller]
 """Function that returns the controller of a flight, given the reference, the mounting T_vehicle_imu (4, 4) and the

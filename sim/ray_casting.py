@@ -6,11 +6,9 @@ of which no depth images have been written.
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.sim.world import instance_spec
-
-Array = npt.NDArray[np.float64]
 
 FARTHEST_M = 40.0
 """Default distance beyond which surfaces are left out, such as the sky of outdoor worlds [m]."""

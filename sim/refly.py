@@ -7,8 +7,8 @@ are either the recorded ones, with their real noise, or synthesized along a smoo
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.rig import Rig
@@ -19,8 +19,6 @@ from dronevio.sim.paths.placement import place_path
 from dronevio.sim.paths.spline import SmoothMotion
 from dronevio.sim.streams import generator
 from dronevio.sim.world import flight_area
-
-Array = npt.NDArray[np.float64]
 
 MARGIN_M = 0.3
 """Smallest distance between a placed path and any surface [m]; the IMU is inside the vehicle."""

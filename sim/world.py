@@ -5,8 +5,8 @@ from functools import lru_cache
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.scenery import Scenery, TexturedMesh
 from dronevio.sim.appearance.lightmap import bake, daylight
@@ -36,8 +36,6 @@ from dronevio.sim.worlds.moving import MOVING
 from dronevio.sim.worlds.repetitive import REPETITIVE
 from dronevio.sim.worlds.room import ROOM
 from dronevio.sim.worlds.warehouse import WAREHOUSE
-
-Array = npt.NDArray[np.float64]
 
 WORLDS: dict[str, WorldBuilder] = {
     "room": ROOM,

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
+
 Arrays = Mapping[str, npt.NDArray[Any]]
 
 UNCOMPARED = frozenset({"events"})

@@ -1,13 +1,11 @@
 """Figure of the experiment ``dronevio book eqvio``."""
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from dronevio.eval.colours import ESTIMATE, SURROUNDINGS, TRUTH
+from dronevio.models.arrays import Array
 from dronevio.models.imu import Times
-
-Array = npt.NDArray[np.float64]
 
 
 def draw_two_paths(t_ns: Times, smoother_m: Array, eqvio_m: Array) -> Figure:

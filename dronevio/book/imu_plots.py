@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from itertools import cycle
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -13,8 +12,7 @@ from dronevio.estimator.book.drift import DriftStudy
 from dronevio.estimator.book.imu import GraphFactor, ImuExperiment
 from dronevio.estimator.book.visual_inertial import CameraStudy
 from dronevio.eval.colours import AXES, ESTIMATE, ESTIMATORS, SECOND, SIGMA, SURROUNDINGS, TRUTH
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 NOISE_MAGNIFICATION = 30
 """Factor by which the ellipses of the IMU noise are magnified in the plot of the path."""

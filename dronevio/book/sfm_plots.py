@@ -12,9 +12,8 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from dronevio.estimator.book.sfm import SfmExperiment
 from dronevio.eval.colours import ESTIMATE, SIGMA
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import inverse_pose
-
-Array = npt.NDArray[np.float64]
 
 _BOX_SCALE = 1.15  # compensates the wide margins of Matplotlib around a 3D box
 _OUTLIER_DEVIATIONS = 6.0  # points farther from the median than this many median deviations are not drawn

@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-Image = npt.NDArray[np.uint8]
+from dronevio.models.arrays import Image
 
 STRIDE = 2
 """Every second pixel in each direction suffices for brightness and contrast."""
 BLACK, WHITE = 0, 255
-"""Grey values at which a pixel has lost what it saw."""
+"""Grey values of clipped pixels."""
 PREFILTER_PX, REBLUR_PX = 0.7, 2.0
 """Standard deviations of the Gaussian filters by which the width of edges is measured [px]."""
 EDGE_SHARE = 0.01

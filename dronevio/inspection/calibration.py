@@ -3,17 +3,15 @@
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.inspection.measured import Measured, angle_deg
 from dronevio.inspection.model import Finding, Topic, Verdict, graded, more_severe
 from dronevio.inspection.stereo import StereoCheck
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import log_so3
 
-Array = npt.NDArray[np.float64]
-
 SUSPECT_ROTATION_DEG, WRONG_ROTATION_DEG = 3.0, 8.0
-"""Error of the mounting beyond that of a bad mount, and one that the online calibration does not undo [°]."""
+"""Mounting error beyond that of a bad mount, and one that online calibration does not correct [°]."""
 SIGMAS = 4.0
 """Number of standard deviations by which a rotation must differ."""
 MAX_SIGMA_DEG = 10.0

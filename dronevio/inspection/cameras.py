@@ -11,8 +11,6 @@ from dronevio.inspection.model import Finding, Topic, Verdict, graded, more_seve
 from dronevio.inspection.relation import Rotations
 from dronevio.models.imu import Times
 
-Array = npt.NDArray[np.float64]
-
 MIN_RATE_HZ = 5.0
 """At a lower rate, a drone that turns by 60 °/s shows other things in each image: no feature is seen three times."""
 GAP_INTERVALS = 1.5

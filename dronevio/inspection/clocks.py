@@ -8,9 +8,9 @@ from dronevio.inspection.model import Finding, Topic, Verdict, graded
 MIN_ROTATION_RAD_S = 0.03
 """Rotation below which the error of the images, a tenth of a pixel in 50 ms, is a tenth of it [rad/s]."""
 SUSPECT_OFFSET_S, WRONG_OFFSET_S = 0.005, 0.2
-"""Offset at which the image of a drone that turns by 1 rad/s moves by two pixels, and one that no camera has."""
+"""Offset that moves the image by two pixels at 1 rad/s, and an implausible one."""
 SUSPECT_STEP_S = 0.003
-"""Change of the offset at which the image of a drone that turns by 1 rad/s moves by a pixel."""
+"""Change of the offset that moves the image by a pixel at 1 rad/s."""
 SIGMAS = 4.0
 """Number of standard deviations by which an offset must differ from the calibrated one."""
 

@@ -3,15 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.calibration.image_rotation import relative_rotation
 from dronevio.estimator.frontend import klt
 from dronevio.estimator.frontend.corners import CornerConfig, detect_corners
+from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 
 FEATURES = 180
 """Largest number of features of an image, as many as the odometry follows."""

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.imu.outliers import outlying_samples
 from dronevio.estimator.imu.saturation import MIN_ACCEL_RANGE_M_S2, MIN_GYRO_RANGE_RAD_S, SaturationDetector
@@ -17,14 +16,13 @@ from dronevio.inspection.inertial import (
 )
 from dronevio.inspection.measured import Measured
 from dronevio.inspection.model import Finding, Topic, Verdict, graded, more_severe
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2, IMU_GAP_INTERVALS, ImuSamples
-
-Array = npt.NDArray[np.float64]
 
 MIN_RATE_HZ = 50.0
 """At a lower rate, motion of 10 Hz, as fast as a small drone is, has fewer than five samples a period."""
 MAX_RATE_RATIO = 1.2
-"""Ratio of the calibrated rate to the found one from which on samples are left out rather than the clock being off."""
+"""Ratio of the calibrated to the measured rate above which samples are missing; below it, the clock is off."""
 MAX_JITTER = 0.2
 """Jitter of the stamps relative to the interval; more is that of a bus or an operating system, not of the sensor."""
 SUSPECT_GAP_S, WRONG_GAP_S = 0.1, 1.0
@@ -34,8 +32,8 @@ MAX_CLIPPED = 1e-3
 MAX_OUTLIERS = 1e-4
 """Share of outliers in a sound sensor; the tests for them fail about as often by chance."""
 GRAVITY_TOLERANCE, UNIT_TOLERANCE = 0.06, 0.25
-"""Relative deviation of the mean specific force from gravity: what the best and the worst accelerometers err by is
-below the first, and no accelerometer in m/s² is beyond the second."""
+"""Relative deviation of the mean specific force from gravity: accelerometers err by less than the first, and beyond the
+second the unit is not m/s²."""
 MAX_RATE_RAD_S = 70.0
 """Rate of 4000 °/s, the range of the fastest gyroscopes [rad/s]."""
 MAX_VIBRATION = 0.5
@@ -44,8 +42,8 @@ MAX_NOISE_RATIO = 30.0
 """Ratio of the noise at rest to the calibrated one up to which the odometry corrects the calibrated one by itself; with
 running motors, 10 is usual."""
 MIN_SPREAD_RATIO, MIN_SPREAD = 2.0, 0.5
-"""How much larger than with other axes the variance of the levelled specific force is if the axes are wrong: twice,
-and by half a (m/s²)². The acceleration of the vehicle is the same in both."""
+"""Ratio, and difference [(m/s²)²], by which wrong axes increase the variance of the levelled specific force
+over that with other axes. The acceleration of the vehicle is the same in both."""
 
 _UNITS = {1.0: "g", 1e3: "mg", 32.2: "ft/s²", 981.0: "cm/s²"}
 _NAMES = "xyz"

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rotation import integrated_rotations
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 WINDOW_S = 8.0
 """Duration over which specific forces are compared in one frame [s]: a bias of 0.1 °/s turns it by less than 1°."""
@@ -26,7 +24,7 @@ hands and a hovering drone move more."""
 MIN_REST_S = 1.0
 """Shortest rest that is reported [s]."""
 VIBRATION_HZ = 20.0
-"""Frequency above which a drone does not move but vibrate [Hz]."""
+"""Frequency above which accelerations are vibration and not motion [Hz]."""
 SPECTRUM_SAMPLES = 256
 """Number of samples of a section of the spectrum."""
 ALLAN_SAMPLES = 8

@@ -26,7 +26,7 @@ from dronevio.models.recordings.open import open_recording
 
 
 def inspect(recording: Recording | str | Path, *, run: bool = False, progress: Stages = silent_stages) -> Inspection:
-    """Look at a recording, and tell whether the odometry will work on it and what is wrong.
+    """Inspect a recording: whether the odometry will work on it, and what is wrong.
 
     The time stamps and all IMU samples are read, and about 240 frames, in runs spread over the recording.
 

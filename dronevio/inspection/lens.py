@@ -14,9 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.inspection.flow import Flow
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import cross, exp_so3
-
-Array = npt.NDArray[np.float64]
 
 MAX_FLOWS = 80
 """Number of pairs of images that are used: those with the largest rotations."""

@@ -1,11 +1,10 @@
-"""What is measured in the images of a recording, and how it relates to the IMU."""
+"""Measurements in the images of a recording, and their relation to the IMU."""
 
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.imu.outliers import outlying_samples
 from dronevio.inspection.appearance import Appearance, appearance_of
@@ -15,15 +14,13 @@ from dronevio.inspection.offsets import OffsetCourse, offset_course
 from dronevio.inspection.relation import Gyroscope, Relation, Rotations, played_backwards, relate
 from dronevio.inspection.sampling import sampled_runs
 from dronevio.inspection.stereo import StereoCheck, check_stereo
+from dronevio.models.arrays import Array, Image
 from dronevio.models.defects import Defect
 from dronevio.models.imu import ImuSamples
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Recording
 from dronevio.models.rotation import log_so3
 from dronevio.models.state import CameraFrame
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 
 PAIR_S = 0.04
 """Shortest time between the two images of a pair [s]; over shorter ones, a drone hardly rotates."""
@@ -40,10 +37,10 @@ another flight reaches 0.2."""
 
 @dataclass(frozen=True, eq=False)
 class ImageSample:
-    """What the sampled frames show."""
+    """Measurements in the sampled frames."""
 
     frames: int
-    """Number of frames that were looked at."""
+    """Number of sampled frames."""
     t_ns: tuple[tuple[int, ...], ...]
     """Time stamps of `appearance` of each camera [ns]."""
     appearance: tuple[tuple[Appearance, ...], ...]
@@ -67,11 +64,11 @@ class Measured:
     """A recording with what was measured in it."""
 
     recording: Recording
-    """The recording that was looked at."""
+    """The recording."""
     sound_imu: ImuSamples
     """Its IMU samples without outliers."""
     sample: ImageSample
-    """What the sampled frames show."""
+    """Measurements in the sampled frames."""
     gyroscope: Gyroscope | None
     """The gyroscope; None for fewer than two samples."""
     rotations: Rotations
@@ -94,11 +91,11 @@ class Measured:
 
 
 def measure(recording: Recording, progress: Progress = silent) -> Measured:
-    """Return what is measured in the images of a recording, and how it relates to the IMU.
+    """Return the measurements in the images of a recording, and their relation to the IMU.
 
     Args:
         recording: The recording.
-        progress: Called with the number of frames that were looked at.
+        progress: Called with the number of frames that were sampled.
     """
     sample = _sampled(recording, progress)
     imu, outlying = recording.imu, outlying_samples(recording.imu, recording.rig.imu)
@@ -164,7 +161,7 @@ def _rotations(flows: Sequence[Flow]) -> Rotations:
 
 
 def _sampled(recording: Recording, progress: Progress) -> ImageSample:
-    """Look at the sampled frames of a recording."""
+    """Return the measurements in the sampled frames of a recording."""
     cameras = recording.rig.cameras
     runs = sampled_runs(recording.frame_times_ns) if cameras else []
     total, done = sum(map(len, runs)), 0

@@ -4,11 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.inspection.relation import COARSE_STEP_S, Gyroscope, Relation, Rotations
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 SECTION_PAIRS = 18
 """Smallest number of rotations of a section, a second of video."""

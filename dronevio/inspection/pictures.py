@@ -4,13 +4,10 @@ import base64
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.inspection.flow import Flow
+from dronevio.models.arrays import Image
 from dronevio.models.camera import CameraModel
-
-Image = npt.NDArray[np.uint8]
-Array = npt.NDArray[np.float64]
 
 WIDTH_PX = 560
 """Width of an image on the page [px]."""

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from dronevio.eval import colours
@@ -13,9 +12,8 @@ from dronevio.inspection.inertial import VIBRATION_HZ, AllanDeviation, Spectrum
 from dronevio.inspection.measured import Measured
 from dronevio.inspection.offsets import OffsetCourse
 from dronevio.inspection.relation import Relation, Rotations
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples, Times
-
-Array = npt.NDArray[np.float64]
 
 MIN_WEIGHT = 0.2
 """Weight of a rotation of the images below which it is drawn as an outlier."""

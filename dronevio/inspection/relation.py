@@ -15,9 +15,8 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples, Times
-
-Array = npt.NDArray[np.float64]
 
 SEARCH_S = 1.0
 """Largest offset that is searched [s]; more is another recording rather than an offset."""

@@ -1,4 +1,4 @@
-"""Which frames of a recording are looked at: runs of consecutive frames, spread evenly over it."""
+"""Sampling of the frames of a recording: runs of consecutive frames, spread evenly over it."""
 
 import numpy as np
 import numpy.typing as npt
@@ -8,7 +8,7 @@ from dronevio.models.imu import Times
 Rows = npt.NDArray[np.int64]
 
 FRAMES = 240
-"""Number of frames that are looked at; all of a recording that has no more."""
+"""Number of sampled frames; all frames of a shorter recording."""
 RUN_S = 1.0
 """Shortest duration of a run [s], so that a drone rotates while it lasts."""
 MIN_RUN_FRAMES = 16
@@ -18,7 +18,7 @@ MIN_RUNS = 6
 
 
 def sampled_runs(frame_times_ns: Times) -> list[Rows]:
-    """Return the indices of the frames to look at, in runs of consecutive frames.
+    """Return the indices of the sampled frames, in runs of consecutive frames.
 
     Args:
         frame_times_ns: (M,) Time stamps of all frames [ns].

@@ -5,13 +5,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.inspection.flow import Flow
+from dronevio.models.arrays import Array
 from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import cross, inverse_pose, log_so3
-
-Array = npt.NDArray[np.float64]
 
 MIN_MATCHES = 60
 """Smallest number of matches of all images together."""

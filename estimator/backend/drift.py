@@ -9,16 +9,14 @@ all directions. The relative poses within the prior, and with them the scale, ke
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.marginal_prior import POINT_DIM, STATE_DIM, MarginalPrior
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import skew
-
-Array = npt.NDArray[np.float64]
 
 
 def with_rotation_error(prior: MarginalPrior, pivot_m: Array, sigma_rad: float) -> MarginalPrior:
-    """Return a prior whose variables have got a common error of rotation.
+    """Return a prior with an added common rotation error of its variables.
 
     Args:
         prior: The prior.

@@ -5,13 +5,10 @@ from typing import NamedTuple, Self
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
 from dronevio.estimator.backend.marginal_prior import STATE_DIM, KeyframeState
-from dronevio.estimator.backend.observations import Integers
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array, Integers
 
 _COLUMNS = {"x": np.arange(6), "v": np.arange(6, 9), "b": np.arange(9, 15)}
 """Columns of pose, velocity and biases within a state, by the character of GTSAM's symbol."""

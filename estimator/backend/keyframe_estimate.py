@@ -4,16 +4,13 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.marginal_prior import POSE_DIM, STATE_DIM
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.optimization.linalg import CholeskyFactor
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.rotation import adjoint
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 _NO_LANDMARKS = np.zeros(0, np.int64), np.zeros((0, 3))
 

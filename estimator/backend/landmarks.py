@@ -7,13 +7,13 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.backend.observations import NO_OBSERVATIONS, Integers, ObservationTable, observation_table
+from dronevio.estimator.backend.observations import NO_OBSERVATIONS, ObservationTable, observation_table
 from dronevio.estimator.backend.triangulation import triangulate
 from dronevio.estimator.backend.weighting import group_medians
 from dronevio.estimator.types import Observations
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.ranges import Range, Settings
 
-Array = npt.NDArray[np.float64]
 CameraPoses = Mapping[int, tuple[Array, Array]]
 """Orientations (C, 3, 3) and positions (C, 3) of the rig's cameras in the world frame, for each keyframe."""
 

@@ -4,15 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.factors import KeyframeFactor, replaced_values, state_values
 from dronevio.estimator.backend.marginal_prior import POINT_DIM, POSE_DIM, STATE_DIM, KeyframeState, MarginalPrior
-from dronevio.estimator.backend.observations import Integers
 from dronevio.estimator.backend.reprojection import VisualSystem
 from dronevio.estimator.optimization.robust import cauchy_inflation, cauchy_loss
+from dronevio.models.arrays import Array, Integers
 
-Array = npt.NDArray[np.float64]
 States = Mapping[int, KeyframeState]
 """States of the keyframes of a window by their numbers, in increasing order."""
 

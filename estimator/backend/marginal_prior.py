@@ -11,11 +11,9 @@ from functools import cached_property
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.optimization.linalg import schur_complement
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 STATE_DIM, POSE_DIM, POINT_DIM = 15, 6, 3
 """Degrees of freedom of a keyframe's state, of its pose, and of a landmark."""
@@ -147,7 +145,7 @@ class MarginalPrior:
         return MarginalPrior(H, b, self.states, {**self.points, **points})
 
     def with_common_error(self, J: Array) -> "MarginalPrior":
-        """Return the prior after its variables have got an error in common, about the same mean.
+        """Return the prior with an added error common to all variables; the mean is unchanged.
 
         The covariance P becomes P + J Jᵀ. By the Woodbury identity, this needs no inverse of the information.
 

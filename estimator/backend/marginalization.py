@@ -4,15 +4,13 @@ from collections.abc import Set
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.drift import with_rotation_error
 from dronevio.estimator.backend.linear_system import WindowEstimate
 from dronevio.estimator.backend.marginal_prior import POINT_DIM, STATE_DIM, MarginalPrior
 from dronevio.estimator.backend.window_objective import WindowObjective
 from dronevio.estimator.optimization.linalg import schur_complement
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

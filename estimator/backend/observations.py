@@ -8,9 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.types import Observations
-
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
+from dronevio.models.arrays import Array, Integers
 
 DECORRELATION_SIGMA_SCALE = 20.0
 """Growth of a track's standard deviation with 1 − ZNCC to the first view, relative to a track whose ZNCC is 1."""

@@ -11,14 +11,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.landmarks import LandmarkDatabase
 from dronevio.estimator.backend.marginal_prior import STATE_DIM, KeyframeState, MarginalPrior
 from dronevio.estimator.backend.observations import ObservationTable
 from dronevio.estimator.types import Calibration
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 
 def recalibrated_observations(

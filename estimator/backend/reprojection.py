@@ -17,10 +17,9 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.backend.observations import Integers, ObservationTable
+from dronevio.estimator.backend.observations import ObservationTable
 from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array, Integers
 
 MEDIAN_CHI2_2DOF = 2.0 * math.log(2.0)
 """Median of the χ² distribution with two degrees of freedom, that of the squared residual of an image observation."""

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
 from dronevio.estimator.backend.config import SmootherConfig
@@ -32,10 +31,9 @@ from dronevio.estimator.imu.noise import ImuVarianceComponents
 from dronevio.estimator.optimization.gauss_newton import gauss_newton
 from dronevio.estimator.optimization.levenberg_marquardt import levenberg_marquardt
 from dronevio.estimator.optimization.linalg import CholeskyFactor, SingularError
-from dronevio.estimator.types import GAUGE_SIGMA, NO_FEATURES, Calibration, Integers, Observations, common_rows
+from dronevio.estimator.types import GAUGE_SIGMA, NO_FEATURES, Calibration, Observations, common_rows
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -360,23 +358,15 @@ class KeyframeSmoother:
 
     def _gauss_newton(self) -> CholeskyFactor:
         """Optimize the window by a few steps and return the factor of the last linear system."""
-        c, window = self._config, self._window
-        step = gauss_newton(
-            window.objective,
-            window.estimate,
-            CholeskyFactor,
-            c.iterations,
-            is_last=lambda step: step.decrement < c.max_decrement,
-        )
+        window, iterations, last = self._window, self._config.iterations, self._config.max_decrement
+        step = gauss_newton(window.objective, window.estimate, CholeskyFactor, iterations, lambda s: s.decrement < last)
         window.estimate = step.x
         return step.factor
 
     def _levenberg_marquardt(self) -> CholeskyFactor:
         """Optimize the window by Levenberg-Marquardt and return the factor of the linear system at the minimum."""
-        window = self._window
-        minimum = levenberg_marquardt(
-            window.objective, window.estimate, CholeskyFactor, self._config.initial_iterations
-        )
+        window, iterations = self._window, self._config.initial_iterations
+        minimum = levenberg_marquardt(window.objective, window.estimate, CholeskyFactor, iterations)
         window.estimate = minimum.x
         return CholeskyFactor(minimum.equations.H)
 

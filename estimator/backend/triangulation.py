@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 GAUSS_NEWTON_STEPS = 3
 """Number of refinement steps; the third changes projections by less than 0.01 px."""

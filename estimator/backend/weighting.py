@@ -1,12 +1,9 @@
 """Weights of image observations: the variance factor of their noise, and thresholds of the robust loss."""
 
 import numpy as np
-import numpy.typing as npt
 
-from dronevio.estimator.backend.observations import Integers
 from dronevio.estimator.backend.reprojection import MEDIAN_CHI2_2DOF
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array, Integers
 
 
 def variance_factor(squared: Array) -> float:

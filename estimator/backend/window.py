@@ -11,7 +11,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from dronevio.estimator.backend.factors import KeyframeFactor, state_values, whitening_matrix
@@ -26,8 +25,7 @@ from dronevio.estimator.backend.window_objective import WindowObjective
 from dronevio.estimator.imu.noise import ImuVarianceComponents
 from dronevio.estimator.optimization.linalg import CholeskyFactor
 from dronevio.estimator.types import Calibration
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 
 class Window:

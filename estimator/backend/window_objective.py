@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.factors import KeyframeFactor, state_values
 from dronevio.estimator.backend.linear_system import (
@@ -22,12 +21,11 @@ from dronevio.estimator.backend.linear_system import (
     linearization_points,
 )
 from dronevio.estimator.backend.marginal_prior import POINT_DIM, KeyframeState, MarginalPrior
-from dronevio.estimator.backend.observations import Integers, ObservationTable
+from dronevio.estimator.backend.observations import ObservationTable
 from dronevio.estimator.backend.reprojection import ObservationIndices, VisualState, residuals, visual_system
 from dronevio.estimator.backend.weighting import robust_thresholds, variance_factor
 from dronevio.estimator.optimization.robust import cauchy_inflation, cauchy_loss
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array, Integers
 
 
 @dataclass(frozen=True, eq=False)

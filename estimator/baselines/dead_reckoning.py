@@ -6,20 +6,18 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
 from dronevio.estimator.imu.covariance import propagate_covariance
 from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
 from dronevio.estimator.initialization.static import InitialSigmas, initialize_static
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples
 from dronevio.models.measurement_checks import check_imu
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, nearest_rotations, pose_matrix
 from dronevio.models.state import CameraFrame, Estimate, Health, HealthReport, NavState
-
-Array = npt.NDArray[np.float64]
 
 _GRAVITY_WORLD = np.array([0.0, 0.0, -GRAVITY_M_S2])
 

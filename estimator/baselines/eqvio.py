@@ -24,14 +24,13 @@ from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
 from dronevio.estimator.initialization.static import initialize_static
 from dronevio.estimator.initialization.zero_velocity import ZeroVelocityConfig, ZeroVelocityDetector
 from dronevio.estimator.types import Observations
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
 from dronevio.models.measurement_checks import check_imu
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, nearest_rotations, pose_matrix
 from dronevio.models.state import CameraFrame, Estimate, FeatureTracks, Health, HealthReport, NavState
-
-Array = npt.NDArray[np.float64]
 
 MAX_SPEED_M_S = 60.0  # above the speed of racing drones, so the filter has diverged
 

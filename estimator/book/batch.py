@@ -19,10 +19,10 @@ from dronevio.estimator.backend.triangulation import Triangulation, triangulate
 from dronevio.estimator.book.eqvio import FeatureRecording
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
+from dronevio.models.arrays import Array
 from dronevio.models.imu import Times
 from dronevio.models.state import Trajectory
 
-Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
 
 STRIDE = 4

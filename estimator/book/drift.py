@@ -20,15 +20,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.book.loop import LoopFlight
 from dronevio.estimator.imu.covariance import propagate_covariance
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel
 from dronevio.models.progress import Progress, silent
 from dronevio.models.rotation import exp_so3
-
-Array = npt.NDArray[np.float64]
 
 GRAVITY_WORLD_M_S2 = np.array([0.0, 0.0, -GRAVITY_M_S2])
 """(3,) Gravity in the world frame [m/s²]."""

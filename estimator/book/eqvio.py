@@ -22,14 +22,13 @@ from dronevio.estimator.frontend.ransac import epipolar_inliers
 from dronevio.estimator.frontend.tracker import TrackerConfig
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.types import Observations
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.progress import Progress, silent
 from dronevio.models.rig import EUROC_CAM0, Rig, RigCamera
 from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix
 from dronevio.models.state import CameraFrame, Trajectory
-
-Array = npt.NDArray[np.float64]
 
 _EXTRINSICS = tuple(f"T_ci_{key}" for key in ("qw", "qx", "qy", "qz", "tx", "ty", "tz"))
 

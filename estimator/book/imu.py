@@ -14,15 +14,13 @@ from typing import SupportsIndex, SupportsInt
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
 from dronevio.estimator.book.loop import LoopFlight
 from dronevio.estimator.book.optimization import LinearizedGraph, largest_difference, solve_batch, solve_incrementally
 from dronevio.estimator.imu.buffer import Increments
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import pose_matrix
-
-Array = npt.NDArray[np.float64]
 
 GRAVITY_M_S2 = 9.8
 """Magnitude of gravity in the chapter [m/s²]."""

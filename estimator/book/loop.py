@@ -11,12 +11,11 @@ from typing import Literal
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import exp_so3
 
-Array = npt.NDArray[np.float64]
 Counting = Literal["book", "equal"]
 
 

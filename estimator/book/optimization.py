@@ -14,10 +14,9 @@ from typing import SupportsIndex, SupportsInt
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 SETTLED = 1e-12
 """Largest change of any variable at which the incremental solution is regarded as settled [rad, m, m/s]."""

@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 from gtsam.symbol_shorthand import P
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 PIXEL_SIGMA = 1.0

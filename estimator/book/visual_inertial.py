@@ -25,13 +25,13 @@ from dronevio.estimator.book.drift import dead_reckoning, predicted_covariance, 
 from dronevio.estimator.book.loop import LoopFlight
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.imu import ImuModel
 from dronevio.models.progress import Progress, silent
 from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import pose_matrix
 
-Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
 
 KEYFRAME_S = 0.5

@@ -8,16 +8,14 @@ does not make observable keeps its prior.
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.calibration.objective import BIAS_DIM, STATE_DIM, CalibrationObjective
 from dronevio.estimator.calibration.window import AdjustmentConfig
 from dronevio.estimator.optimization.gauss_newton import gauss_newton_step
 from dronevio.estimator.optimization.linalg import CholeskyFactor, SingularError
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,9 +2,6 @@
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-import numpy.typing as npt
-
 from dronevio.estimator.backend.smoother import Keyframe, KeyframeSmoother
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.offset_search import OffsetSearch
@@ -13,10 +10,9 @@ from dronevio.estimator.calibration.rotation_offset import RotationOffset
 from dronevio.estimator.calibration.unverified import unverified_covariance
 from dronevio.estimator.monitoring.causes import Cause
 from dronevio.estimator.types import Calibration, FramePacket
+from dronevio.models.arrays import Array
 from dronevio.models.rig import Rig
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 TIME_OFFSET_FOUND = "time offset of camera and IMU estimated from their rotation:"
 """Beginning of the event at which another time offset is adopted."""

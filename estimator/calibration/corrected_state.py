@@ -3,15 +3,12 @@
 from collections.abc import Sequence
 
 import gtsam
-import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.calibration.window import WindowKeyframe
 from dronevio.estimator.imu.covariance import propagate_covariance
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuModel
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 
 def propagated_state(adjusted: NavState, later: Sequence[WindowKeyframe], before: Array, imu: ImuModel) -> NavState:

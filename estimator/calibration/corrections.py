@@ -3,12 +3,10 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.types import Calibration
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, pose_matrix
-
-Array = npt.NDArray[np.float64]
 
 COMMON_PARAMETERS = 2
 """Number of parameters that are not of one camera: time offset, gravity."""

@@ -14,8 +14,7 @@ from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
 from dronevio.estimator.calibration.parameters import ParameterTable
 from dronevio.estimator.calibration.significance import SignificanceTest
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 INFLATION_CORRECTION = (5e-3, np.radians(1.0))
 """Corrections of time offset [s] and rotation [rad] to which `CalibrationConfig.inflation_sigmas` correspond."""

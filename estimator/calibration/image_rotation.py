@@ -16,13 +16,12 @@ import numpy.typing as npt
 
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.frontend.tracker import TrackerConfig
-from dronevio.estimator.types import Calibration, Integers, Observations, common_rows
+from dronevio.estimator.types import Calibration, Observations, common_rows
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.imu import Times
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, log_so3
 from dronevio.models.state import CameraFrame
-
-Array = npt.NDArray[np.float64]
 
 STEP_S = 0.04
 """Shortest time between successive frames of pairs [s]; more pairs would cost time and tell little."""

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, log_so3, skew
-
-Array = npt.NDArray[np.float64]
 
 _BIAS_STEP = 1e-3
 """Step of the forward differences by the biases [rad/s and m/s²]."""

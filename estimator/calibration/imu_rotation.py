@@ -9,13 +9,11 @@ J. Astronautical Sciences 1988). It is determined if the rotation of the images 
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.calibration.image_rotation import RelativeRotations
 from dronevio.estimator.calibration.rotation_offset import GRID_S, MIN_EXPLAINED, MIN_PAIRS
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
-
-Array = npt.NDArray[np.float64]
 
 MAX_SIGMA_RAD = 0.05
 """Largest standard deviation of a significant rotation, about the axis that is known least [rad]."""

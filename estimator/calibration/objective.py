@@ -22,11 +22,9 @@ from dronevio.estimator.calibration.window import (
     window_state,
 )
 from dronevio.estimator.optimization.robust import cauchy_inflation, cauchy_loss
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.rotation import exp_so3, log_so3
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 GAUGE_SIGMA_M = 1e-3
 """Standard deviation of the first keyframe's position, which is unobservable [m]."""
@@ -74,9 +72,9 @@ class CalibrationEquations:
     """Normal equations of K keyframes, the biases and E corrections, n = 9 K + 6 + E; landmarks are eliminated."""
 
     H: Array
-    """(n, n) Information matrix."""
+    """(n, n) Information matrix, without the landmarks."""
     b: Array
-    """(n,) Right-hand side."""
+    """(n,) Right-hand side, the negative gradient."""
     x: CalibrationEstimate
     """The variables at which they are linearized."""
     estimated: Integers

@@ -7,15 +7,13 @@ offsets (`rotation_offset`), which needs no estimate.
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.calibration.image_rotation import NO_ROTATIONS, image_rotations
 from dronevio.estimator.calibration.rotation_offset import RotationOffset, rotation_offset
 from dronevio.estimator.imu.buffer import joined
 from dronevio.estimator.types import FramePacket
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
-
-Array = npt.NDArray[np.float64]
 
 MAX_OFFSET_S = 0.25
 """Largest offset that is searched for [s], beyond what drivers and transmission of images cause."""

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.calibration.adjustment import CalibrationProblem
 from dronevio.estimator.calibration.config import CalibrationConfig
@@ -30,11 +29,10 @@ from dronevio.estimator.calibration.significance import SignificanceTest
 from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
 from dronevio.estimator.calibration.window_collector import NO_KEYFRAMES, CalibrationWindow
 from dronevio.estimator.types import Calibration, Observations
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rig import Rig
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 MIN_PART_KEYFRAMES = 5
 """Smallest number of keyframes of the beginning of a window that is adjusted before it is complete."""

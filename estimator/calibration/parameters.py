@@ -7,9 +7,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.calibration.config import CalibratedPart, CalibrationConfig
 from dronevio.estimator.calibration.corrections import COMMON_PARAMETERS, GRAVITY, PARAMETERS_PER_CAMERA
-from dronevio.estimator.types import Integers
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array, Integers
 
 FIXED_SIGMA = 1e-9
 """Standard deviation of parameters that are known; it keeps the matrices regular."""

@@ -12,10 +12,8 @@ import numpy.typing as npt
 
 from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
 from dronevio.estimator.calibration.corrections import COMMON_PARAMETERS, PARAMETERS_PER_CAMERA, Corrections
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.rotation import cross, exp_so3
-
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

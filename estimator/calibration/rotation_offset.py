@@ -12,13 +12,11 @@ and clearly more than anywhere else.
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.calibration.image_rotation import RelativeRotations
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.rotation import exp_so3, integrated_rotations, log_so3
-
-Array = npt.NDArray[np.float64]
 
 GRID_S = 0.004
 """Step of the offsets that are tried [s]; vehicles do not turn back and forth within some of them."""

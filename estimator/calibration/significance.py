@@ -3,12 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.parameters import ParameterGroup
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 REFINEMENT_SIGMAS = 1.0
 """Significance of further corrections of parameters that are known to be wrong."""

@@ -7,12 +7,10 @@ begins at rest, its parts reduce them before.
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import skew
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 
 def unverified_covariance(

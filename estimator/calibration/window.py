@@ -6,7 +6,6 @@ from typing import Annotated
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.triangulation import triangulate
 from dronevio.estimator.calibration.corrections import Corrections
@@ -16,11 +15,9 @@ from dronevio.estimator.calibration.projection import (
     camera_poses,
     corrected_xy,
 )
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,10 +13,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.dense.config import ConsistencyConfig
 from dronevio.estimator.dense.views import Pinhole
-
-Array = npt.NDArray[np.float64]
-Floats = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
+from dronevio.models.arrays import Array, Floats, Mask
 
 _SAME_SURFACE = 0.01  # relative difference of inverse depths of neighbouring pixels that are interpolated
 _OUTSIDE_PX = -10.0

@@ -11,15 +11,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.dense.config import DepthConfig
 from dronevio.estimator.dense.sgm import aggregate, subpixel_minimum
 from dronevio.estimator.dense.sweep import SCALE, Warp, sweep
 from dronevio.estimator.dense.views import View
-
-Array = npt.NDArray[np.float64]
-Floats = npt.NDArray[np.float32]
+from dronevio.models.arrays import Array, Floats
 
 _MEDIAN_PX = 5  # side of the median filter of a result before it is refined
 _CHOICE_PX = (5, 5)  # windows over which the sums of two sweeps are compared
@@ -61,11 +58,13 @@ def estimate_depth(
         normals: (D, 3) Unit normals in the world frame of planes to sweep, besides planes parallel to the image.
         config: Settings.
     """
+    # Image pyramid
     levels = [(reference, list(sources))]
     for _ in range(config.levels - 1):
         view, nearby = levels[-1]
         levels.append((view.halved(), [source.halved() for source in nearby]))
     (view, nearby), *finer = reversed(levels)
+    # Plane sweeps at the lowest resolution, along the axis and along the large surfaces
     warps = [Warp(view, source) for source in nearby]
     in_camera = (points - reference.T_world_cam[:3, 3]) @ reference.T_world_cam[:3, :3]
     step = _pixel_step(warps, 1.0 / float(np.median(in_camera[:, 2])))
@@ -75,6 +74,7 @@ def estimate_depth(
     axes = np.concatenate([[[0.0, 0.0, 1.0]], normals @ reference.T_world_cam[:3, :3]])
     sweeps = [_sweep_planes(view, warps, in_camera, axis, step, config) for axis in axes]
     best = _best([result for result in sweeps if result is not None])
+    # Refinement: at each finer resolution, a few depths around the result of the one before
     offsets = config.refinement_step * np.arange(-config.refinement_steps, config.refinement_steps + 1)
     for finer_view, finer_nearby in finer:
         start = _enlarged(np.asarray(cv2.medianBlur(best.inverse_depth, _MEDIAN_PX)), finer_view.grey.shape, step)

@@ -5,10 +5,9 @@ A plane sweep along the normal of a floor or a wall matches windows that are par
 """
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 _NEIGHBOURS = 12  # points of the plane through a point
 _MAX_FLATNESS = 0.15  # ratio of the two smallest standard deviations of a planar neighbourhood

@@ -10,12 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.dense.consistency import PosedDepth
+from dronevio.models.arrays import Floats, Image
 from dronevio.models.surfaces import PointCloud
 
-Array = npt.NDArray[np.float64]
-Floats = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
-Image = npt.NDArray[np.uint8]
 
 _SLAB = 64  # thickness of the slabs of space that are merged apart, in voxels, so that memory is needed for one
 _MIN_PENDING = 100_000  # points of a slab that are collected before they are merged

@@ -8,9 +8,9 @@ from scipy.spatial import cKDTree
 
 from dronevio.estimator.dense.surface_nets import surface_nets
 from dronevio.estimator.dense.tsdf import Volume
+from dronevio.models.arrays import Array
 from dronevio.models.surfaces import Mesh, PointCloud
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.dense.config import ViewConfig
+from dronevio.models.arrays import Array
 from dronevio.models.reconstruction import Reconstruction
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 _NARROW_SHARE = 0.4  # standard deviation of the score below the preferred angle, relative to this angle

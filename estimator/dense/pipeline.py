@@ -29,7 +29,6 @@ from dronevio.models.progress import Progress, Stages, silent, silent_stages
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.surfaces import Mesh, PointCloud
 
-Floats = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 
 

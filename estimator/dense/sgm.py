@@ -8,8 +8,9 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Floats
+
 Number = TypeVar("Number", np.float32, np.uint16)
-Floats = npt.NDArray[np.float32]
 Costs = npt.NDArray[np.uint8]
 Sums = npt.NDArray[np.uint16]
 

@@ -9,9 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.dense.tsdf import BLOCK, Volume
+from dronevio.models.arrays import Array, Floats
 
-Array = npt.NDArray[np.float64]
-Floats = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 
 _MAX_DIFFERENCE = 1.0  # of the truncated distances of neighbouring voxels on either side of a surface

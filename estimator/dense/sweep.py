@@ -16,9 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.dense.views import View
+from dronevio.models.arrays import Floats
 
-Array = npt.NDArray[np.float64]
-Floats = npt.NDArray[np.float32]
 Costs = npt.NDArray[np.uint8]
 
 SCALE = 250

@@ -12,10 +12,9 @@ import numpy.typing as npt
 
 from dronevio.estimator.dense.config import MeshConfig
 from dronevio.estimator.dense.consistency import PosedDepth
+from dronevio.models.arrays import Floats
 from dronevio.models.progress import Progress, silent
 
-Array = npt.NDArray[np.float64]
-Floats = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 
 BLOCK = 8
@@ -110,6 +109,7 @@ def _update(volume: Volume, depth: PosedDepth, truncation: float) -> None:
     grid = np.stack(np.meshgrid(*[np.arange(BLOCK)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     offsets = (grid * volume.voxel).astype(np.float32) @ R
     for rows in _visible(volume, depth, truncation):
+        # Projection of the voxels
         first = (volume.corners()[rows] * volume.voxel).astype(np.float32) - p
         points = (first @ R)[:, None] + offsets
         z = points[..., 2]
@@ -119,10 +119,12 @@ def _update(volume: Volume, depth: PosedDepth, truncation: float) -> None:
             inside = (z > 0.0) & (u >= 0.0) & (u < camera.width) & (v >= 0.0) & (v < camera.height)
         w = depth.inverse_depth[np.where(inside, v, 0.0).astype(np.int32), np.where(inside, u, 0.0).astype(np.int32)]
         seen = inside & (w > 0.0)
+        # Truncated distance along the optical axis; what is far behind a surface is unseen
         with np.errstate(divide="ignore", invalid="ignore"):
             distance = (1.0 / w - z) / np.float32(truncation)
             seen &= distance > -1.0
         weight = np.where(seen, w * w, np.float32(0.0))
+        # Weighted mean with the distances so far
         old = volume.weights[rows].reshape(len(rows), -1)
         total = old + weight
         mean = (

@@ -6,18 +6,13 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.dense.config import ViewConfig
+from dronevio.models.arrays import Array, Floats, Image, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.reconstruction import Reconstruction
-
-Array = npt.NDArray[np.float64]
-Floats = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
-Image = npt.NDArray[np.uint8]
 
 _CACHED_VIEWS = 24  # images in memory
 _BORDER_SAMPLES = 65  # on the central row and column, whose undistorted positions bound the new image

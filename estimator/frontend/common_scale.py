@@ -8,20 +8,17 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
-
 MIN_RATIO = 0.85
-"""Ratio of two focal lengths below which the finer image is reduced; patches that differ by less are tracked well."""
+"""Ratio of two focal lengths below which the finer image is reduced; smaller differences are tracked well."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReducedImage:
-    """How the images of one camera are reduced."""
+    """The reduction of the images of one camera."""
 
     size: tuple[int, int]
     """Width and height after the reduction [px]."""

@@ -13,10 +13,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.ranges import Range, Settings
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 
 DOWNSAMPLING = 2  # pixels at full resolution per pixel of the image in which corners are detected
 COARSE_BLOCK_PX, FINE_BLOCK_PX = 3, 5  # side of the block over which gradients are summed, at half and full resolution
@@ -48,6 +46,7 @@ def detect_corners(image: Image, noise: float, occupied: Array, border_px: int, 
         border_px: Smallest distance of a corner from the image border [px].
         config: Settings of the detection.
     """
+    # Shi-Tomasi score at half resolution, zero near the border and around features
     side = config.cell_px // DOWNSAMPLING
     coarse = cv2.resize(image, None, fx=1.0 / DOWNSAMPLING, fy=1.0 / DOWNSAMPLING, interpolation=cv2.INTER_AREA)
     score = np.asarray(cv2.cornerMinEigenVal(coarse, blockSize=COARSE_BLOCK_PX, ksize=3), np.float32)
@@ -64,10 +63,12 @@ def detect_corners(image: Image, noise: float, occupied: Array, border_px: int, 
     is_strong = np.take_along_axis(cells, best[:, None], axis=1)[:, 0] > max(
         config.min_score, config.min_score_over_noise * noise**2
     )
+    # Cells without a feature
     is_free = np.ones((rows, columns), dtype=np.bool_)
     row, column = ((occupied[:, ::-1] / DOWNSAMPLING - [top, left]) // side).astype(int).T
     is_free[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)] = False
     chosen = is_strong & is_free.ravel()
+    # Refinement at full resolution
     row, column = np.divmod(np.flatnonzero(chosen), columns)
     best = best[chosen]
     corners = np.stack([left + column * side + best % side, top + row * side + best // side], axis=1)

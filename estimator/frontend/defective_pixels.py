@@ -8,13 +8,9 @@ again and again while the camera rotates, it is defective, and is replaced by th
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image, Integers
 from dronevio.models.rotation import log_so3
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
-Integers = npt.NDArray[np.int64]
 
 MIN_DEVIATION = 30
 """Smallest difference of a defective pixel from the median of its neighbourhood [grey levels]."""

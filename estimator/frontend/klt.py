@@ -5,11 +5,8 @@ J.-Y. Bouguet, "Pyramidal implementation of the affine Lucas Kanade feature trac
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
-Mask = npt.NDArray[np.bool_]
+from dronevio.models.arrays import Array, Image, Mask
 
 MAX_ITERATIONS, MIN_STEP_PX = 15, 0.03  # a coarse tolerance suffices, because patch alignment refines the result
 STRIDE = 8  # every eighth pixel in each direction suffices to measure brightness

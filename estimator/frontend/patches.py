@@ -15,12 +15,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import rotation_z, yaw_rad_from_matrix
 
-Array = npt.NDArray[np.float64]
 Array32 = npt.NDArray[np.float32]
-Image = npt.NDArray[np.uint8]
 
 MAX_WARP_STEP = 0.3  # largest change of a warp element per iteration; with 0.5 the warp could become singular
 PIXEL_BLUR_PX = 0.3  # the area of a pixel blurs an image by 1/√12
@@ -213,12 +212,14 @@ class PatchAligner:
             iterations: Number of Gauss-Newton iterations, 1 or more; that of a keyframe by default.
             elapsed_s: Time since the image of the predicted warps [s].
         """
+        # Hessian with the prior on the change of the warp
         c, warp, inverse_predicted = self._config, patches.warp, _inverse(patches.warp)
         templates, rows = patches.templates, patches.rows
         values, norm = templates.values[rows], templates.norm[rows]
         prior_weight = templates.prior_weight[rows] * np.float32(WALK_S / elapsed_s)
         H = templates.hessian[rows]
         H[:, WARP, WARP] += prior_weight[:, None]
+        # Inverse compositional Gauss-Newton
         difference = np.zeros_like(templates.values)  # of all templates, whose largest array is not copied then
         for _ in range(c.iterations if iterations is None else iterations):
             current, _ = _normalized(self._sampled(image, pixels, warp))
@@ -229,6 +230,7 @@ class PatchAligner:
             warp_step = np.clip(step[:, 2:], -MAX_WARP_STEP, MAX_WARP_STEP).reshape(-1, 2, 2)
             warp = warp @ _inverse(np.eye(2) + warp_step)
             pixels = pixels - np.einsum("nij,nj->ni", warp, step[:, :2])
+        # Correlation and scale decide whether the alignment has succeeded
         zncc = np.sum(current * values, axis=1).astype(np.float64)
         scale_squared = _determinant(warp)
         noise_loss = (c.blurred_noise_ratio * image.noise * c.side_px / norm) ** 2  # of correlation

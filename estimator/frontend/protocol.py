@@ -7,15 +7,11 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.types import Observations
+from dronevio.models.arrays import Array, Image, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.rig import Rig
 from dronevio.models.state import NO_IMAGE, CameraFrame
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
-Mask = npt.NDArray[np.bool_]
-
 
 AtExposure = Callable[[int, Observations], Array]
 """Function that returns the coordinates (N, 2) of features when another camera, given by its index, is exposed."""

@@ -10,9 +10,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import cross
-
-Array = npt.NDArray[np.float64]
 
 HYPOTHESES = 96  # a pair without outliers is drawn with a probability of 99.9 % if 70 % are outliers
 CONFIDENCE = 0.999  # probability that one sample of five matches is free of outliers
@@ -37,6 +36,7 @@ def epipolar_inliers(
     n = len(xy0)
     if n < MIN_MATCHES:
         return np.ones(n, dtype=np.bool_)
+    # Epipolar planes of the matches, with the rotation removed
     f0, f1 = _bearings(xy0) @ R_1_0.T, _bearings(xy1)
     normals = cross(f0, f1)
 
@@ -45,6 +45,7 @@ def epipolar_inliers(
     moving = np.flatnonzero(flow > 2.0 * threshold)
     if len(moving) < MIN_MATCHES:
         return np.asarray(flow < 4.0 * threshold)
+    # Hypotheses of the direction of translation by two matches each
     first = rng.integers(0, len(moving), HYPOTHESES)
     second = (first + rng.integers(1, len(moving), HYPOTHESES)) % len(moving)  # differs from the first
     t = cross(normals[moving[first]], normals[moving[second]])
@@ -52,6 +53,7 @@ def epipolar_inliers(
     is_defined = length > 1e-15  # parallel normals do not determine the direction of translation
     t = t / np.where(is_defined, length, 1.0)
 
+    # Largest consensus
     is_inlier = _agree(t, normals, f0, threshold) & is_defined
     best = int(np.argmax(is_inlier.sum(axis=1)))
     # Refinement on the consensus set: the direction most nearly orthogonal to all its normals.

@@ -1,4 +1,4 @@
-"""Images that repeat the image before, although the vehicle moves: a camera or a driver that has stopped or stutters.
+"""Images that equal the previous one although the vehicle moves: a camera or a driver has stopped or stutters.
 
 Tracks on such an image claim that the vehicle does not move. It is therefore left out, as if the camera had no image.
 The noise of a camera makes each image differ from the one before, so that an equal image is a copy. While the vehicle
@@ -9,13 +9,10 @@ was new, or if the estimate has a velocity. From then on, the image is a copy un
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.rotation import log_so3
 from dronevio.models.state import NO_IMAGE, CameraFrame
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 
 MIN_ROTATION_RAD = 1e-3
 """Smallest rotation since an image was new at which an equal image is a copy [rad]; half a pixel of EuRoC's cameras."""

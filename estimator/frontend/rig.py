@@ -10,18 +10,16 @@ from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.frontend.defective_pixels import DefectivePixels
-from dronevio.estimator.frontend.protocol import AtExposure, Image, image_of
+from dronevio.estimator.frontend.protocol import AtExposure, image_of
 from dronevio.estimator.frontend.stereo import StereoConfig, StereoMatcher, shared_view
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
-from dronevio.estimator.types import NO_MATCHES, Integers, Matches, Observations
+from dronevio.estimator.types import NO_MATCHES, Matches, Observations
+from dronevio.models.arrays import Array, Image, Integers
 from dronevio.models.measurement_checks import check_image_count, check_rig
 from dronevio.models.rig import Rig
 from dronevio.models.state import NO_IMAGE, CameraFrame
-
-Array = npt.NDArray[np.float64]
 
 MAX_SHARED_VIEW = 0.5  # a camera that shares more of its image with earlier ones has no tracker of its own
 MIN_SHARED_VIEW = 0.1  # cameras that share less of their images are not matched

@@ -11,15 +11,13 @@ acceleration a, a depth z and a time Δt between frames.
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import NO_INCREMENTS, Increments
-from dronevio.estimator.types import Calibration, Integers, Matches, Observations, common_rows
+from dronevio.estimator.types import Calibration, Matches, Observations, common_rows
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rotation import exp_so3, integrated_rotations, log_so3, pose_matrix
 from dronevio.models.state import Estimate
-
-Array = npt.NDArray[np.float64]
 
 EXTRAPOLATION_S = 0.1  # beyond the measured motion, the angular velocity is held for this time [s]
 ACCEL_SAMPLES = 4  # increments on each side of a frame whose mean is its specific force, to average out vibration
@@ -97,7 +95,7 @@ class ExposureCompensation:
 
     @staticmethod
     def lookahead_s(calibration: Calibration, image_delays_s: Array = NO_DELAYS_S) -> float:
-        """Return how much IMU data after the time of a frame is of use, by the delays of its images [s]."""
+        """Return the time after a frame for which IMU data are needed, by the delays of its images [s]."""
         middle_s = image_delays_s + calibration.camera_offsets_s
         last_row_s = float((middle_s + 0.5 * calibration.readouts_s).max()) + calibration.time_offset_correction_s
         return float(max(last_row_s, -calibration.rig.time_offset_s, 0.0))
@@ -200,7 +198,7 @@ class ExposureCompensation:
         return replace(estimate, t_ns=stamp_ns, state=state)
 
     def _camera_delays_s(self, calibration: Calibration) -> Array:
-        """Return how much later than the frame each camera (C,) is exposed in its middle row, if the clock is right."""
+        """Return the delays (C,) of the cameras' middle rows relative to the frame, if the clock is right [s]."""
         return self._image_delays_s + calibration.camera_offsets_s
 
     def _delays_s(self, calibration: Calibration, camera: Integers, row_px: Array) -> Array:

@@ -20,12 +20,10 @@ import numpy.typing as npt
 from dronevio.estimator.frontend import klt
 from dronevio.estimator.frontend.common_scale import CommonScale
 from dronevio.estimator.frontend.protocol import is_inside
+from dronevio.models.arrays import Array, Image
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import cross, exp_so3, inverse_pose
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 
 ITERATIONS = 10
 """Number of iterations of weighted least squares; later ones change residuals by far less than a pixel."""
@@ -105,10 +103,12 @@ class StereoMatcher:
         Returns:
             The accepted matches, in the order of the features.
         """
+        # Prediction by the known or the median inverse depth
         predicted = self._second.project(self.rays_in_second(xy, self._filled(pixels, inverse_depth)))
         candidates = np.flatnonzero(is_inside(predicted, self._second, self._config.border_px))
         if not len(candidates):
             return StereoMatches(candidates, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+        # Lucas-Kanade from the prediction and back, at a common scale
         c, scale = self._config, self._scale
         first, second = scale.images(klt.match_brightness(first, second), second)
         start, target = scale.first.pixels(pixels[candidates]), scale.second.pixels(predicted[candidates])
@@ -118,10 +118,12 @@ class StereoMatcher:
         matched = scale.second.restored(matched)
         is_tracked &= is_inside(matched, self._second, c.border_px)
         rows, matched = candidates[is_tracked], matched[is_tracked]
+        # Rotation of the second camera that is missing in the calibration
         xy_second = self._second.normalize(matched)
         bearings = np.column_stack([xy_second, np.ones(len(xy_second))])
         bearings /= np.linalg.norm(bearings, axis=1, keepdims=True)
         bearings = bearings @ exp_so3(self._rotation_correction(xy[rows], bearings)).T
+        # Matches near their epipolar lines at an allowed depth
         epipolar_error, depth = self._geometry(xy[rows], bearings)
         with np.errstate(invalid="ignore"):  # pixels outside the lens model have NaN bearings and are rejected
             pixel = self._pixel

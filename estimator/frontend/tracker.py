@@ -20,14 +20,11 @@ from dronevio.estimator.frontend.patches import WALK_S, PatchAligner, PatchConfi
 from dronevio.estimator.frontend.protocol import AtExposure, image_of, is_inside
 from dronevio.estimator.frontend.ransac import MIN_MATCHES, epipolar_inliers, essential_inliers
 from dronevio.estimator.types import Observations
+from dronevio.models.arrays import Array, Image, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
-Mask = npt.NDArray[np.bool_]
 
 OUTSIDE_PX = 1e4  # a finite coordinate outside any image, for predictions behind the camera
 RETRY_LEVELS = 2  # additional pyramid levels for features that the prediction did not lead to
@@ -51,7 +48,7 @@ class TrackerConfig(Settings):
     border_px: Annotated[int, Range(1, 200)] = 12
     """Distance from the image border below which features are dropped [px]."""
     max_correction_px: Annotated[float, Range(above=0.0)] = 2.0
-    """Largest distance between the result of Lucas-Kanade and the aligned patch [px]."""
+    """Largest distance between the results of Lucas-Kanade and of the patch alignment [px]."""
     min_tracked_ratio: Annotated[float, Range(0.0, 1.0)] = 0.5
     """Smallest ratio of tracked features to those predicted inside the image. Below it, the prediction is regarded as
     wrong, and the remaining features are searched again in a larger neighbourhood of their previous positions."""
@@ -137,17 +134,20 @@ class FeatureTracker:
         Raises:
             ConfigError: The image is missing, is not uint8, or has not the camera's size.
         """
+        # Rotation since the last image
         if self._unseen is not None:
             R_cur_prev, rotation_sigma_rad = R_cur_prev @ self._unseen[0], rotation_sigma_rad + self._unseen[1]
         image = image_of(frame, self._index, self._camera)
         self._unseen = (R_cur_prev, rotation_sigma_rad) if image is None else None
         if image is None:
             return self._observations()
+        # The new image and its scale space
         previous, self._image = self._image, image
         if previous is not None:
             self._elapsed_s = (frame.t_ns - self._image_ns) * 1e-9
         self._image_ns = frame.t_ns
         self._scale_space = self._aligner.scale_space(self._image)
+        # Tracking, and rejection of outliers by the epipolar geometry
         if previous is not None and len(self._features.ids):
             previous = klt.match_brightness(previous, self._image)
             tracked = self._tracked(previous, self._image, R_cur_prev)

@@ -8,15 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.imu.outliers import OutlierFilter
 from dronevio.estimator.imu.saturation import MIN_ACCEL_RANGE_M_S2, MIN_GYRO_RANGE_RAD_S, SaturationDetector
+from dronevio.models.arrays import Array
 from dronevio.models.imu import IMU_GAP_INTERVALS, ImuModel, ImuSamples
 from dronevio.models.rotation import integrated_rotations
-
-Array = npt.NDArray[np.float64]
-
 
 GAP_SIGMA = np.repeat([0.5, 2.0], 3)
 """Standard deviations of angular velocity [rad/s] and specific force [m/s²] within a gap, about the mean of the samples

@@ -5,12 +5,10 @@ the pose (δθ, then δp in the IMU frame), the velocity (world frame), the acce
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuModel
 from dronevio.models.rotation import skew
-
-Array = npt.NDArray[np.float64]
 
 _BIASES_SWAPPED = np.r_[0:9, 12:15, 9:12]
 

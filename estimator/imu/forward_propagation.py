@@ -12,14 +12,12 @@ from functools import cached_property
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples
 from dronevio.models.state import Estimate, NavState
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,15 +17,13 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments, joined
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.imu.spectral_floor import SpectralFloor
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples
 from dronevio.models.ranges import Range, Settings
-
-Array = npt.NDArray[np.float64]
 
 NOISY_RATIO = 1.3
 """Ratio of the noise at rest to the data sheet beyond which the random walks are larger, too. The noise of 0.8 s at 20
@@ -60,7 +58,7 @@ MAX_NORMALIZED_SQUARE = 9.0
 
 @dataclass(frozen=True)
 class NoiseEstimationConfig(Settings):
-    """How the noise densities of the IMU are estimated."""
+    """Settings of the estimation of the IMU's noise densities."""
 
     memory: Annotated[float, Range(low=1.0, infinite=True)] = 50.0
     """Number of intervals between keyframes that are averaged, with exponential forgetting: about ten seconds."""

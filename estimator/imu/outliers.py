@@ -12,9 +12,8 @@ Readings at the limit of the range are left to `dronevio.estimator.imu.saturatio
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuModel, ImuSamples
-
-Array = npt.NDArray[np.float64]
 
 MAX_RUN = 3
 """Largest number of successive outliers. More are a motion, or a fault that nothing can interpolate."""
@@ -118,7 +117,7 @@ class OutlierFilter:
         return near
 
     def _accept(self, values: Array) -> None:
-        """Take readings (N, 2, 3) of one block for good."""
+        """Accept readings (N, 2, 3) of one block."""
         if not len(values):
             return
         self._differences = np.concatenate([self._differences, self._differences_of(values)])[-BLOCK:]

@@ -5,11 +5,9 @@ A limit that is detected by chance is discarded as soon as a reading exceeds it.
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import STANDARD_GRAVITY_M_S2
-
-Array = npt.NDArray[np.float64]
 
 MIN_GYRO_RANGE_RAD_S = 0.5
 """Lower bound of a gyroscope's range [rad/s], below the smallest on the market (2 rad/s). A coarse gyroscope at rest

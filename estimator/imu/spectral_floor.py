@@ -7,11 +7,9 @@ and acts like white noise (Welch, "The use of fast Fourier transform for the est
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
-
-Array = npt.NDArray[np.float64]
 
 SEGMENT = 64
 """Number of samples of one spectrum."""

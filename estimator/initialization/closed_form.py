@@ -14,14 +14,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq
 
 from dronevio.estimator.initialization.gauge import BiasPrior
 from dronevio.estimator.initialization.robust import INLIER_WEIGHT, robust_weights
 from dronevio.estimator.initialization.views import Motion, WindowMeasurements
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 MIN_START_DEPTH_M = 0.1
 """Smallest mean depth of a landmark that counts as in front of the cameras [m]."""

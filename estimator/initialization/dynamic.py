@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.initialization.closed_form import MIN_START_DEPTH_M, NoiseModel, solve_closed_form
 from dronevio.estimator.initialization.gauge import BiasPrior
@@ -33,13 +32,12 @@ from dronevio.estimator.initialization.not_observable import (
 from dronevio.estimator.initialization.refinement import RefinedState, refine
 from dronevio.estimator.initialization.static import level_rotation
 from dronevio.estimator.initialization.views import Motion, WindowMeasurements
-from dronevio.estimator.types import FramePacket, Integers
+from dronevio.estimator.types import FramePacket
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import pose_matrix
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 TIME_OFFSET_SIGMA_S = 0.1
 """Standard deviation of the time offset of camera and IMU, where it is tested [s]: that of clocks that differ."""

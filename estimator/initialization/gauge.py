@@ -7,14 +7,12 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.initialization.static import InitialSigmas
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import pose_matrix, rotation_z, yaw_rad_from_matrix
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 MIN_SPEED_M_S = 1.0
 """Lower bound of the speed at which the position uncertainty grows after a loss [m/s]: a hovering vehicle may have

@@ -12,14 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.initialization.gauge import BiasPrior
 from dronevio.estimator.initialization.robust import robust_weights
 from dronevio.estimator.initialization.views import WindowMeasurements
-from dronevio.estimator.types import Integers
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array, Integers
 
 PAIR_S = 0.3
 """Time between the views of a pair [s]. It is long enough for a parallax, and most tracks are longer."""

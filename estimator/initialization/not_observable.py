@@ -4,9 +4,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 ROTATION_DISAGREES = (
     "gyroscope and images disagree about the rotation: check the camera-IMU extrinsics, the lens model, the axes and "

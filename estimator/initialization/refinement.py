@@ -23,8 +23,7 @@ from dronevio.estimator.initialization.views import WindowMeasurements
 from dronevio.estimator.optimization.gauss_newton import gauss_newton
 from dronevio.estimator.optimization.linalg import LUFactor
 from dronevio.estimator.optimization.robust import geman_mcclure_loss, geman_mcclure_weight
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 STEPS = 4
 """Number of Gauss-Newton steps."""
@@ -93,7 +92,7 @@ class RefinementEstimate:
     """The variables: the state at the first frame and the landmarks."""
 
     state: WindowState
-    """The state."""
+    """State at the first frame of the window."""
     landmarks: Array
     """(F, 3) Positions of the landmarks in the IMU frame of the first frame [m]."""
 
@@ -103,9 +102,9 @@ class RefinementEquations:
     """Normal equations of the state, with the landmarks eliminated, and the residuals that they are made of."""
 
     H: Array
-    """(12, 12) Information matrix."""
+    """(12, 12) Information matrix of the state."""
     b: Array
-    """(12,) Right-hand side."""
+    """(12,) Right-hand side, the negative gradient."""
     x: RefinementEstimate
     """The variables at which they are linearized."""
     scales: float

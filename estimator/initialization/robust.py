@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.optimization.robust import geman_mcclure_weight
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 INLIER_WEIGHT = 0.25
 """Weight at the threshold between inliers and outliers."""

@@ -5,15 +5,13 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.types import GAUGE_SIGMA
+from dronevio.models.arrays import Array
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import pose_matrix
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments, joined
-from dronevio.estimator.types import FramePacket, Integers
+from dronevio.estimator.types import FramePacket
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.rotation import integrated_rotations
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

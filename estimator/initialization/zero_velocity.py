@@ -4,15 +4,11 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.types import Observations, common_rows
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.ranges import Range, Settings
-
-Array = npt.NDArray[np.float64]
-
 
 MOTION_DETECTION_DELAY_S = 0.2
 """Longest time between the start of a motion and its detection in the image [s]: it takes half a pixel of flow."""

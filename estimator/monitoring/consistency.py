@@ -52,7 +52,7 @@ class ConsistencyMonitor:
         return self._motion_ns * 1e-9 >= self._config.established_s
 
     def restart_motion(self) -> None:
-        """Let the estimate no longer be established, and the window begin anew."""
+        """Reset: the estimate is no longer established, and the window is empty."""
         self._motion_ns, self._recent_nis, self._begin_ns = 0, (), None
 
     def update(self, t_ns: int, nis: float | None, *, moves: bool) -> None:

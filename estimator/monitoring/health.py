@@ -1,9 +1,9 @@
 """Health of the estimate: what constrains it, how well it fits the measurements, and whether it can be trusted.
 
-The number of tracked features is no measure of health: in front of a distant wall, or while hovering after a rotation,
-many tracks may leave the motion to the IMU alone. What counts are landmarks of known position that are observed again,
-and whether they are where the prediction puts them: the innovation of a filter and its chi-squared test (Bar-Shalom,
-Li, Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.4).
+The number of tracked features does not measure health: in front of a distant wall, or while hovering after a rotation,
+many tracks may leave the motion to the IMU alone. The measure is the number of landmarks that are observed again, and
+their distance from the predicted positions: the innovation of a filter and its chi-squared test (Bar-Shalom, Li,
+Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.4).
 
 The states of health, in the order of their tests:
 

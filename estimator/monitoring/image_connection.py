@@ -1,18 +1,19 @@
 """Whether images connect the successive keyframes of an odometry.
 
-Where features were tracked up to a frame and suddenly all are others, the images were exchanged or the vehicle was
-carried away between two frames. After darkness, where nothing was tracked, the IMU connects the keyframes.
+Where all features of a frame are suddenly replaced by others, the images were exchanged or the vehicle was carried away
+between two frames. After darkness, where nothing was tracked, the IMU connects the keyframes.
 """
 
 import numpy as np
 
-from dronevio.estimator.types import Integers, Observations, common_rows
+from dronevio.estimator.types import Observations, common_rows
+from dronevio.models.arrays import Integers
 
 MIN_FEATURES = 8
 """Smallest number of common features that connect two keyframes; fewer may be tracked by mistake."""
 MIN_SHARE = 0.15
-"""Smallest share of them among the features of the keyframe that has fewer. Of images of two places, a twentieth was
-tracked by mistake; successive keyframes of eight flights have 0.39 or more in common (`docs/tuning.md`)."""
+"""Smallest share of them among the features of the keyframe that has fewer. Between images of two places, a twentieth
+was tracked by mistake; successive keyframes of eight flights share 0.39 or more (`docs/tuning.md`)."""
 
 
 class ImageConnection:

@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.observations import track_sigma_scale
 from dronevio.estimator.backend.reprojection import MEDIAN_CHI2_2DOF
 from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
 from dronevio.estimator.optimization.linear_fit import LinearFit, median, robust_linear_fit
-from dronevio.estimator.types import Calibration, Integers, Observations, common_rows
+from dronevio.estimator.types import Calibration, Observations, common_rows
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 UNKNOWN_INFORMATION = 1e-6
 """Information on an unknown of which nothing is known, in its unit: enough for a solution."""
@@ -25,12 +23,12 @@ UNKNOWN_INFORMATION = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class PredictionUncertainty:
-    """How far a predicted state and the noise of image observations are uncertain."""
+    """Uncertainty of a predicted state and of image observations."""
 
     position_covariance: Array
     """(3, 3) Covariance of the position in the world frame since the newest keyframe [m²]."""
     rotation_variance: float
-    """Variance of the orientation about any axis since the newest keyframe [rad²]."""
+    """Variance of the orientation about each axis since the newest keyframe [rad²]."""
     image_variance_px2: float
     """Variance of the coordinates of an image observation whose patch is unchanged [px²]."""
 

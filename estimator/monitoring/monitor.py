@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
 from dronevio.estimator.monitoring.causes import Cause, Reason
@@ -17,15 +16,13 @@ from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.imu import ImuModel
 from dronevio.models.state import HealthQuantities, NavState
 
-Array = npt.NDArray[np.float64]
-
 IMAGE_VARIANCES = 10
 """Number of keyframes from which the variance of image observations is taken."""
 
 
 @dataclass(frozen=True)
 class _Since:
-    """What has constrained the estimate, and when."""
+    """Times at which the estimate was constrained."""
 
     constrained_ns: int
     """Last time at which more than the IMU constrained the estimate."""

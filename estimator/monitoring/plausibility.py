@@ -1,23 +1,20 @@
-"""Whether a state is one that a vehicle can have after the last published one: the last check before publication.
+"""Plausibility of a state after the last published one: the last check before publication.
 
 The limits depend neither on the rig nor on the vehicle. The speed has a limit; between two published states, velocity
 and orientation change by no more than the IMU has measured, and the position by no more than these velocities explain.
 Corrections by landmarks come on top: they are allowed in proportion to the standard deviations, up to a few metres.
-What exceeds this is no estimate of a flight, whatever its covariance claims, but the result of measurements that do not
-belong together.
+A larger change is no estimate of a flight, whatever its covariance, but the result of inconsistent measurements.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.monitoring.causes import Cause, Reason
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import log_so3
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 MAX_SPEED_M_S = 200.0
 """Largest speed of a vehicle that flies by images [m/s]; the fastest quadrotor has flown at 180 m/s."""

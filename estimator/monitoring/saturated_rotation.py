@@ -12,12 +12,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.monitoring.innovation import Innovation
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 MIN_LANDMARKS = 8
 """Smallest number of landmarks from which the rotation is estimated."""

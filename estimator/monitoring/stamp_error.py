@@ -17,14 +17,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.monitoring.innovation import Innovation
 from dronevio.estimator.optimization.linear_fit import median
+from dronevio.models.arrays import Array
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 MEDIAN_CHI2_1DOF = 0.4549
 """Median of the χ² distribution with one degree of freedom."""
@@ -47,18 +45,18 @@ PREFERENCE = 2.0
 
 @dataclass(frozen=True)
 class StampConfig(Settings):
-    """How errors of the time stamps of frames are recognized."""
+    """Settings of the detection of errors of time stamps."""
 
     correct: bool = True
     """Whether irregular time stamps of frames are replaced by those of a regular clock."""
     min_error_s: Annotated[float, Range(low=0.0, high=1.0)] = 0.0003
     """Standard deviation of stamps about a regular clock up to which they are taken as exact [s]."""
     memory: Annotated[int, Range(8, 1000)] = 30
-    """Number of frames from which it is estimated, and from which the images decide."""
+    """Number of frames from which it is estimated and over which the images are compared."""
     min_frames: Annotated[int, Range(3, 1000)] = 8
     """Smallest number of these frames."""
     min_landmarks: Annotated[int, Range(4, 1000)] = 8
-    """Smallest number of landmarks of a frame that the images decide from."""
+    """Smallest number of landmarks of a frame that is compared."""
     max_sigma_s: Annotated[float, Range(above=0.0, high=1.0)] = 0.003
     """Largest standard deviation of the time of exposure by the image of a frame that is used [s]. While a vehicle
     hovers, the image does not show when it was exposed."""

@@ -4,12 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
-import numpy as np
-import numpy.typing as npt
-
 from dronevio.estimator.optimization.objective import Objective, S, X
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 
 class Factor(Protocol):
@@ -29,7 +25,7 @@ class Step(Generic[X, F]):
     x: X
     """Variables after the step."""
     delta: Array
-    """(n,) The step."""
+    """(n,) Step in the tangent space."""
     decrement: float
     """Squared length of the step in standard deviations, δᵀHδ: twice the decrease that the quadratic model predicts."""
     factor: F

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from typing import Generic
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.optimization.gauss_newton import Factor
 from dronevio.estimator.optimization.objective import Linearized, Objective, S, X
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 INITIAL_DAMPING = 1e-4
 """Damping of the first step, relative to the diagonal of the information matrix."""

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 RELATIVE_DAMPING = 1e-12
 """Addition to the unit diagonal of a scaled information matrix, so that rounding errors do not make it indefinite."""
@@ -66,7 +66,7 @@ class LeastNormFactor:
     """A symmetric matrix that may be singular; solutions are those of the least norm."""
 
     H: Array
-    """(n, n) The matrix."""
+    """(n, n) Matrix of the linear system."""
 
     def solve(self, b: Array) -> Array:
         """Return H⁺ b for b of shape (n,)."""
@@ -78,7 +78,7 @@ class LUFactor:
     """A matrix that is regular but need not be positive definite."""
 
     H: Array
-    """(n, n) The matrix."""
+    """(n, n) Matrix of the linear system."""
 
     def solve(self, b: Array) -> Array:
         """Return H⁻¹ b for b of shape (n,).

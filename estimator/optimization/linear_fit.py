@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.optimization.robust import cauchy_inflation
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 ROUNDS = 2
 """Number of fits, each with the weights that follow from the one before."""
@@ -18,7 +16,7 @@ class LinearFit:
     """The posterior of the unknowns."""
 
     solution: Array
-    """(n,) Estimates."""
+    """(n,) Estimates of the unknowns."""
     covariance: Array
     """(n, n) Covariance of the estimates."""
 

@@ -11,10 +11,8 @@ References:
 
 from typing import Protocol, TypeVar
 
-import numpy as np
-import numpy.typing as npt
+from dronevio.models.arrays import Array
 
-Array = npt.NDArray[np.float64]
 X = TypeVar("X")
 X_co = TypeVar("X_co", covariant=True)
 S = TypeVar("S")

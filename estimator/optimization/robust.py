@@ -6,9 +6,8 @@ least-squares", 1977). Both losses are s for small s, so that their weight is 1 
 """
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 
 def cauchy_loss(squared: Array | float, threshold2: Array | float) -> Array:

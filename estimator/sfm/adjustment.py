@@ -17,12 +17,11 @@ from gtsam.symbol_shorthand import K, P, X
 
 from dronevio.estimator.sfm.model import KnownPoses, Scene, SfmState
 from dronevio.estimator.sfm.normalized import normalized
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.ranges import Range, Settings
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 Calibration: TypeAlias = gtsam.Cal3DS2 | gtsam.Cal3Fisheye | gtsam.Cal3_S2
 
 UNIT = gtsam.Cal3_S2()
@@ -83,11 +82,13 @@ def adjust(
         rig: Known relative poses of images.
         priors: Measured poses of at least two images, which then determine the world frame.
     """
+    # Observations that project with the current state
     is_held = [not _is_estimated(camera) for camera in state.cameras]
     scene = replace(scene, is_calibrated=scene.is_calibrated | is_held)
     index = _projected(scene, state, np.flatnonzero(selected))
     image, track = scene.tracks.image[index], scene.tracks.track[index]
     images, tracks = np.unique(image), np.unique(track)
+    # Factor graph: reprojections, the rig, and the gauge or priors
     values, graph = gtsam.Values(), gtsam.NonlinearFactorGraph()
     for i in images:
         values.insert(X(i), gtsam.Pose3(state.Ts_world_cam[i]))
@@ -109,6 +110,7 @@ def adjust(
     parameters.setAbsoluteErrorTol(1e-12)
     result = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
 
+    # State at the optimum
     Ts_world_cam, points = state.Ts_world_cam.copy(), state.points.copy()
     for i in images[~scene.is_fixed[images]]:
         Ts_world_cam[i] = result.atPose3(X(i)).matrix()

@@ -4,9 +4,8 @@ Bearings exist for every lens, also beyond 90° from the optical axis, where nor
 """
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 
 def tangent_bases(bearings: Array) -> Array:

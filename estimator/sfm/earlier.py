@@ -17,7 +17,6 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.reconstruction import Reconstruction
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 MAX_DISTANCE_PX = 1.0

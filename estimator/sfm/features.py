@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.sfm.config import FeatureConfig
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 DESCRIPTOR_SCALE = 512.0
 """A stored descriptor is the unit vector times this number, rounded to a byte."""

@@ -17,13 +17,12 @@ from dronevio.estimator.sfm.model import Scene, SfmState, initial_state
 from dronevio.estimator.sfm.resection import resect
 from dronevio.estimator.sfm.structure import complete, remove_outliers, repair, triangulate
 from dronevio.estimator.sfm.two_view import Geometry, TwoView
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.progress import Progress, silent
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 SEED_STAGES = ((100, 16.0), (50, 8.0), (30, 4.0), (20, 2.0))
 """Smallest numbers of matches of a seed pair and smallest median angles [deg], from the strictest to the weakest."""
@@ -163,6 +162,7 @@ class _Mapper:
             # An image that failed is tried again when it sees a quarter more points.
             candidates = available & ~state.is_registered & (visible >= config.resection.min_inliers)
             candidates &= (4 * visible > 5 * failed_at) & (discards < MAX_DISCARDS)
+            # Registration of the image that sees most, and triangulation of what it adds
             if candidates.any():
                 image = int(np.argmax(np.where(candidates, score, -1.0)))
                 registered = self._register(state, image)
@@ -176,6 +176,7 @@ class _Mapper:
                     state = self._discard(self._refine(state), discards)
                     adjusted_images = count
                 continue
+            # Without a candidate, global adjustment of what is new, or the end
             count = int(state.is_registered.sum())
             if count == adjusted_images and (is_last or not (discards >= MAX_DISCARDS).any()):
                 return state

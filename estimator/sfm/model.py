@@ -6,12 +6,11 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.sfm.tracks import Tracks
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 RAYLEIGH_MEDIAN = 1.1774
 """Median of the length of a vector of two normally distributed coordinates of standard deviation 1."""

@@ -5,11 +5,9 @@ GTSAM has no factor for most lenses. A pixel u with noise σ has the normalized 
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
-
-Array = npt.NDArray[np.float64]
 
 _STEP_PX = 1e-3  # of the central differences, whose error is of second order
 

@@ -93,16 +93,20 @@ def reconstruct(
         images = replace(images, cameras=earlier_cameras(images, earlier))
     clock = _Clock()
     with ThreadPoolExecutor(config.threads) as pool:
+        # Features of all images
         features, keys = _detect(images, config, workspace, pool, stages("features"))
         clock.lap("features")
+        # Pairs of images that may show the same points; those of earlier images are known
         known = None if earlier is None else earlier_pairs(index, earlier, features)
         matched = index if known is not None else index[:0]
         chosen = _chosen_pairs(images, features, matched, config)
         if earlier is None:
             cameras = guess_fisheyes(images, features, chosen, config.matching, config.verification)
             images = replace(images, cameras=cameras)
+        # Matching and geometric verification
         pairs = _match(images, features, keys, chosen, config, workspace, pool, stages("matching"))
         clock.lap("matching")
+    # Tracks, and where poses are known the state to begin with
     scene = _scene(images, features, [*(known or []), *pairs])
     Ts_earlier = np.full((len(images), 4, 4), np.nan)
     start = None
@@ -112,8 +116,10 @@ def reconstruct(
     elif poses is not None and poses.is_exact:
         scene = replace(scene, fixed_images=poses.is_known)
         start = initial_state(scene, images.cameras, poses.Ts_world_cam)
+    # Incremental mapping, one state per connected part of the scene
     states = map_scene(scene, images.cameras, pairs, config.mapper, stages("mapping"), start, is_final=False)
     completed = [_completed(scene, state, features, config) for state in states]
+    # World frame: scale, gravity and origin
     placed = [(own, *place(own, state, images, config, poses)) for own, state in completed]
     if earlier is not None:
         placed[0] = placed[0][0], aligned(placed[0][1], Ts_earlier), earlier_world or WorldFrame()

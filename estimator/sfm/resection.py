@@ -7,15 +7,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.optimization.gauss_newton import gauss_newton
+from dronevio.estimator.optimization.gauss_newton import Step, gauss_newton
 from dronevio.estimator.optimization.linalg import LeastNormFactor
 from dronevio.estimator.optimization.robust import cauchy_inflation, cauchy_loss
 from dronevio.estimator.sfm.bearings import angles_between_rad, tangent_bases
 from dronevio.estimator.sfm.config import ResectionConfig
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.rotation import exp_so3, pose_matrix, skew
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 MAX_PINHOLE_RAD = np.radians(75.0)
 """Largest angle from the optical axis of the points that RANSAC uses [rad]."""
@@ -33,6 +31,7 @@ def resect(points: Array, bearings: Array, focal_px: float, config: ResectionCon
         focal_px: Focal length, the scale between angles and pixels [px].
         config: Thresholds.
     """
+    # RANSAC on a pinhole image of the rays near the axis
     is_central = bearings[:, 2] > np.cos(MAX_PINHOLE_RAD)
     if is_central.sum() < max(config.min_inliers, 6):
         return None
@@ -53,6 +52,7 @@ def resect(points: Array, bearings: Array, focal_px: float, config: ResectionCon
         return None
     if not is_solved or r is None:
         return None
+    # Refinement by all rays
     R_cam_world = exp_so3(np.asarray(r, np.float64).reshape(3))
     T = pose_matrix(R_cam_world.T, -R_cam_world.T @ np.asarray(t, np.float64).reshape(3))
     threshold_rad = config.max_error_px / focal_px
@@ -73,13 +73,11 @@ def refine_pose(T_world_cam: Array, points: Array, bearings: Array, scale_rad: f
         scale_rad: Scale of the Cauchy loss [rad].
     """
     objective = ResectionObjective(points, bearings, scale_rad)
-    return gauss_newton(
-        objective,
-        T_world_cam,
-        LeastNormFactor,
-        GAUSS_NEWTON_STEPS,
-        is_last=lambda step: float(np.linalg.norm(step.delta[:3])) < MIN_STEP_RAD,
-    ).x
+    return gauss_newton(objective, T_world_cam, LeastNormFactor, GAUSS_NEWTON_STEPS, _is_short).x
+
+
+def _is_short(step: Step[Array, LeastNormFactor]) -> bool:
+    return float(np.linalg.norm(step.delta[:3])) < MIN_STEP_RAD
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +87,7 @@ class PoseEquations:
     H: Array
     """(6, 6) Information matrix of rotation and translation, both in the camera frame."""
     b: Array
-    """(6,) Right-hand side."""
+    """(6,) Right-hand side, the negative gradient."""
     x: Array
     """(4, 4) Pose of the camera in the world frame."""
     scales: npt.NDArray[np.bool_]

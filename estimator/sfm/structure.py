@@ -3,13 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.sfm.config import TriangulationConfig
 from dronevio.estimator.sfm.model import Scene, SfmState
 from dronevio.estimator.sfm.triangulation import triangulate_tracks, widest_angles
-
-Mask = npt.NDArray[np.bool_]
+from dronevio.models.arrays import Mask
 
 REPAIR_ERROR_PX = 1.0
 """Reprojection error above which a point is triangulated again after an adjustment without it [px]."""

@@ -62,6 +62,7 @@ def connect_tracks(pairs: Sequence[MatchedPair], feature_counts: Indices) -> Tra
     image_of = np.repeat(np.arange(len(feature_counts)), feature_counts)
     if not pairs:
         return Tracks(*(np.empty(0, np.int64) for _ in range(3)))
+    # Graph of all features, whose edges are matches; support orders the pairs of images
     edges = np.concatenate([pair.matches + offsets[[pair.first, pair.second]] for pair in pairs])
     counts = [len(pair.matches) for pair in pairs]
     triangles = _triangles(edges, total)
@@ -81,6 +82,7 @@ def connect_tracks(pairs: Sequence[MatchedPair], feature_counts: Indices) -> Tra
         np.minimum.at(least, label, support)
         keep = support > least[label]
         edges, support = edges[keep], support[keep]
+    # A track is a component of the consistent matches
     edges = np.concatenate(consistent)
     labels = _components(edges, total)
     used = np.unique(edges)

@@ -12,10 +12,9 @@ import numpy.typing as npt
 
 from dronevio.estimator.sfm.bearings import angles_between_rad, midpoints
 from dronevio.estimator.sfm.config import TriangulationConfig
+from dronevio.models.arrays import Array, Mask
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 HYPOTHESES = 8
 """Number of pairs of rays of a track that are tried."""
@@ -57,6 +56,7 @@ def triangulate_tracks(
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     threshold_rad = config.max_error_px / focal_px
 
+    # RANSAC over pairs of rays, for all tracks together
     best_points = np.full((len(counts), 3), np.nan)
     best_score = np.zeros(len(counts))
     for number in range(HYPOTHESES):
@@ -71,6 +71,7 @@ def triangulate_tracks(
         better = (score > best_score) & np.isfinite(points[:, 0])
         best_points[better], best_score[better] = points[better], score[better]
 
+    # Refinement by the inliers, in weighted least squares
     points = best_points
     for _ in range(REFINEMENTS):
         is_inlier = _angles(points[track], origins, rays) < threshold_rad
@@ -78,6 +79,7 @@ def triangulate_tracks(
         weights = np.where(is_inlier, 1.0 / np.maximum(distance, 1e-12) ** 2, 0.0)
         points = _nearest_points(starts, origins, rays, np.nan_to_num(weights))
     is_inlier = _angles(points[track], origins, rays) < threshold_rad
+    # Points with two inliers under a sufficient angle
     enough = np.add.reduceat(is_inlier.astype(np.int64), starts) >= 2
     wide = widest_angles(track, starts, points, origins, is_inlier) >= np.radians(config.min_angle_deg)
     accepted = enough & wide

@@ -10,16 +10,13 @@ from enum import StrEnum
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.sfm.bearings import angles_between_rad, midpoints
 from dronevio.estimator.sfm.config import VerificationConfig
 from dronevio.estimator.sfm.matching import Matches
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.rotation import pose_matrix
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 MAX_PINHOLE_RAD = np.radians(65.0)
 """Largest angle from the optical axis of the matches that determine the essential matrix [rad]."""
@@ -95,6 +92,7 @@ def verify(
     """
     if len(matches) < config.min_inliers:
         return None
+    # Rays of the matched features
     a, b = views
     f0, f1 = a.bearings[matches[:, 0]], b.bearings[matches[:, 1]]
     is_defined = np.isfinite(f0).all(axis=1) & np.isfinite(f1).all(axis=1)
@@ -102,6 +100,7 @@ def verify(
     focal_px = min(a.focal_px, b.focal_px)
     threshold_rad = config.max_error_px / focal_px
 
+    # Essential matrix; without a calibration, of the inliers of a fundamental matrix
     if a.is_calibrated and b.is_calibrated:
         E = _essential(f0, f1, focal_px, config)
         if E is None:
@@ -115,6 +114,7 @@ def verify(
         return None
     matches, f0, f1 = matches[is_inlier], f0[is_inlier], f1[is_inlier]
 
+    # Relative pose, which a pure rotation does not have
     geometry, R_rotation = _classify(E, f0, f1, focal_px, config)
     if geometry is Geometry.ROTATION:
         T = pose_matrix(R_rotation.T, np.zeros(3))

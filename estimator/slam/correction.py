@@ -3,18 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.map.odometry_factors import OdometryNode, RelativePose, odometry_factors, propagated
+from dronevio.models.arrays import Array
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What the map tells the odometry."""
+    """Correction of the odometry by the map."""
 
     T_map_odom: Array | None
     """(4, 4) Pose of the odometry frame in the map frame at the anchor; None where the submap is not joined."""
@@ -33,7 +31,7 @@ class Correction:
     tested_loops: int = 0
     """Number of loops of the submap that an optimization has accepted or rejected."""
     events: tuple[str, ...] = ()
-    """What became of a bundle adjustment, for users."""
+    """Outcome of a bundle adjustment, as text for users."""
 
     def covariance_at(self, state: NavState) -> Array | None:
         """Return the covariance (6, 6) of a later pose of the same track in the map frame.

@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.correction import Correction
@@ -37,12 +36,11 @@ from dronevio.estimator.slam.places.localization import (
     tile_side_px,
 )
 from dronevio.estimator.slam.places.verification import PlaceMatch
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import inverse_pose
 from dronevio.models.slam_map import SlamMap
-
-Array = npt.NDArray[np.float64]
 
 MAX_BETWEEN = 20
 """Number of the newest loops of a track with another submap by which the two may be joined."""
@@ -51,7 +49,7 @@ MAX_CONNECTED = 1000
 CONNECTED_WITHIN_S = 1.0
 """Time between a redundant keyframe and a loop that connects it with the earlier visit [s]."""
 MIN_MAP_KEYFRAMES = 5
-"""Number of keyframes below which a map is given up when the odometry is lost: the next track begins another one."""
+"""Number of keyframes below which a map is discarded when the odometry is lost: the next track begins another one."""
 
 
 class Recognizer(Protocol):

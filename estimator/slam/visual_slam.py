@@ -8,45 +8,36 @@ frame is causal, and it jumps when a loop is closed; the pose in the odometry fr
 no pose in the map frame until a place of the map is recognized.
 """
 
-from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.imu.preintegration import PreintegrationParams
-from dronevio.estimator.keyframe_observer import OdometryKeyframe
 from dronevio.estimator.odometry import VisualInertialOdometry
-from dronevio.estimator.slam.adjustment.adjuster import solved
 from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentInputs
-from dronevio.estimator.slam.adjustment.final_graph import at_optimum, measured_in_map
-from dronevio.estimator.slam.adjustment.flight_measurements import FlightMeasurements, KeyframeMeasurements
-from dronevio.estimator.slam.adjustment.structure import map_structure
+from dronevio.estimator.slam.adjustment.flight_measurements import FlightMeasurements
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.files.g2o import write_g2o
 from dronevio.estimator.slam.files.map_file import read_map, write_map
-from dronevio.estimator.slam.files.saved_arrays import MIN_KEYFRAMES
-from dronevio.estimator.slam.files.saved_map import SavedMap, saved_map
+from dronevio.estimator.slam.files.saved_map import SavedMap
+from dronevio.estimator.slam.final_map import FinalMap
 from dronevio.estimator.slam.map.map_arrays import MapSummary
-from dronevio.estimator.slam.map.pose_graph import OptimizedGraph, PoseGraph
+from dronevio.estimator.slam.map.pose_graph import PoseGraph
 from dronevio.estimator.slam.mapper import Mapper
 from dronevio.estimator.slam.schedule import CorrectionSchedule
+from dronevio.estimator.slam.worker.keyframe_messages import KeyframeMessages
 from dronevio.estimator.slam.worker.map_builder import (
-    ImagedKeyframe,
     LocalMap,
     MapCost,
-    MapMessage,
     MarginalizedKeyframe,
     OdometryMap,
     TrackLost,
-    WindowKeyframe,
 )
 from dronevio.estimator.slam.worker.map_process import MapProcess
 from dronevio.estimator.threads import single_threaded
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.map_correction import MapCorrection
@@ -57,8 +48,6 @@ from dronevio.models.recordings.files import as_input_error
 from dronevio.models.rig import Rig
 from dronevio.models.slam_map import SlamMap
 from dronevio.models.state import CameraFrame, Estimate, NavState
-
-Array = npt.NDArray[np.float64]
 
 
 class VisualSlam:
@@ -101,7 +90,7 @@ class VisualSlam:
         """
         self._config = c = config or SlamConfig()
         self._rig = rig
-        self._keyframes = _KeyframeMessages(2.0 * (odometry or VioConfig()).initialization.longest_window_s)
+        self._keyframes = KeyframeMessages(2.0 * (odometry or VioConfig()).initialization.longest_window_s)
         self._measurements = FlightMeasurements(rig.imu)
         self._odometry = VisualInertialOdometry(rig, odometry, observer=self._keyframes)
         self._known, self._localize_only = _checked_map(rig, map, localize_only), localize_only
@@ -111,7 +100,7 @@ class VisualSlam:
         self._frames = self._sent = self._loops = self._track = 0
         self._T_map_odom: Array | None = np.eye(4)
         self._correction: Correction | None = None
-        self._final: _Final | None = None
+        self._final: tuple[int, FinalMap] | None = None  # after a number of frames
         if known is not None:
             self._sent, self._track, self._T_map_odom = len(known.keyframes), 1, None
 
@@ -134,8 +123,10 @@ class VisualSlam:
         """
         has_map_pose, noise = self._T_map_odom is not None, self._odometry.imu_noise
         self._keyframes.begin_frame(frame, noise, has_map_pose=has_map_pose)
+        # Odometry, which tells `_keyframes` of its keyframes
         estimate = self._odometry.add_frame(frame)
         self._frames += 1
+        # Keyframes to the map; a loss ends the track, whose corrections are no longer valid
         for message in self._keyframes.take():
             if isinstance(message, TrackLost):
                 self._track, self._T_map_odom, self._correction = self._track + 1, None, None
@@ -144,6 +135,7 @@ class VisualSlam:
             self._map.send(message)
             self._sent += 1
             self._schedule.add(frame.t_ns, self._sent, self._loops)
+        # Corrections that are due at this frame
         events: list[str] = []
         closed: tuple[tuple[int, int], ...] = ()
         for _ in range(self._schedule.take_due(frame.t_ns)):
@@ -199,17 +191,7 @@ class VisualSlam:
         odometry is not corrected. A loaded map has no measurements of its former flights: its keyframes are held by the
         saved pose graph, or stay where they are.
         """
-        final = self._final_solution()
-        mapper, solution = final.mapper, final.solution
-        if solution is None:
-            return None
-        slam_map = replace(mapper.map_of(solution), adjustment=final.adjustment)
-        # The correction is that of the causal path, which is then at the final poses where the keyframes are.
-        return (
-            replace(slam_map, Ts_odom_imu=self._measurements.causal_poses(mapper.keyframes))
-            if len(slam_map.closed)
-            else slam_map
-        )
+        return self._final_map().slam_map()
 
     def save_map(self, path: Path | str) -> None:
         """Save the final map, together with the map that was loaded, for later flights.
@@ -224,15 +206,10 @@ class VisualSlam:
         """
         if self._localize_only:
             raise ConfigError("save_map() with localize_only; expected one of them, since the map stays as it is")
-        final = self._final_solution()
-        mapper, solution = final.mapper, final.solution
-        if self._known is not None and not mapper.is_joined:
+        final = self._final_map()
+        if self._known is not None and not final.mapper.is_joined:
             raise ConfigError("the flight is not joined with the loaded map; expected a recognized place to save both")
-        count = 0 if solution is None else len(solution.graph.poses)
-        if solution is None or count < MIN_KEYFRAMES:
-            raise ConfigError(f"map with {count} keyframes; expected {MIN_KEYFRAMES} or more to save it")
-        graph = solution.without_rejected
-        write_map(Path(path), saved_map(self._rig.cameras, graph, mapper.keyframes, mapper.patches))
+        write_map(Path(path), final.saved_map(self._rig.cameras))
 
     def adjustment_inputs(self) -> AdjustmentInputs:
         """Return the measurements of the final map for bundle adjustment, with its final poses; see `adjust`.
@@ -240,11 +217,7 @@ class VisualSlam:
         Raises:
             ConfigError: No keyframe of the flight has joined the map, or one of them has no measurements.
         """
-        final = self._final_solution()
-        keyframes = final.mapper.keyframes
-        if final.solution is None or not self._measurements.covers(keyframes):
-            raise ConfigError("map without keyframes of this flight and their measurements; expected one or more")
-        return self._measurements.inputs(keyframes, final.solution.without_rejected)
+        return self._final_map().adjustment_inputs()
 
     def final_graph(self) -> PoseGraph:
         """Return the pose graph of the final map for other programs, without rejected loops; see `final_graph`.
@@ -255,15 +228,7 @@ class VisualSlam:
         Raises:
             ConfigError: No keyframe has joined the map.
         """
-        final = self._final_solution()
-        mapper, solution = final.mapper, final.solution
-        if solution is None:
-            raise ConfigError("map without keyframes; expected one or more to write its graph")
-        graph, c = solution.without_rejected, self._config
-        if self._measurements.covers(mapper.keyframes):
-            inputs, pose = self._measurements.inputs(mapper.keyframes, graph), c.mapping.localization.pose
-            graph = measured_in_map(graph, inputs, c.adjustment, pose, mapper.adjusted_until)
-        return at_optimum(graph)
+        return self._final_map().pose_graph()
 
     def save_graph(self, path: Path | str) -> None:
         """Write `final_graph` as a g2o file.
@@ -285,14 +250,7 @@ class VisualSlam:
         Raises:
             ConfigError: No keyframe of the flight has joined the map.
         """
-        final = self._final_solution()
-        mapper, solution = final.mapper, final.solution
-        keyframes = self._measurements.of_flight(mapper.keyframes)
-        if solution is None or not keyframes:
-            raise ConfigError("map without keyframes of this flight; expected one or more to write its landmarks")
-        graph = solution.without_rejected.between({keyframe.number for keyframe in keyframes})
-        inputs = self._measurements.inputs(keyframes, graph)
-        return map_structure(inputs, self._config.adjustment, self._measurements.stamps_ns(keyframes))
+        return self._final_map().reconstruction()
 
     def save_colmap(self, folder: Path | str, recording: Recording) -> None:
         """Write keyframes and landmarks as a folder with ``images`` and a model of COLMAP, ``sparse/0``.
@@ -323,123 +281,15 @@ class VisualSlam:
         write_ply(Path(path), structure.reconstruction if recording is None else with_images(structure, recording))
 
     @single_threaded()
-    def _final_solution(self) -> "_Final":
-        """Return the final map; see `final_map`."""
-        if self._final is None or self._final.frames != self._frames:
-            mapper, adjustment = self.mapper, ""
-            solution = mapper.final_solution()
-            if solution is not None:
-                solution, adjustment = self._adjusted(mapper, solution)
-            self._final = _Final(self._frames, mapper, solution, adjustment)
-        return self._final
-
-    def _adjusted(self, mapper: Mapper, solution: OptimizedGraph) -> tuple[OptimizedGraph, str]:
-        """Return the pose graph with the poses by bundle adjustment, if it has loops, and the outcome as text."""
-        graph = solution.without_rejected
-        keyframes, measurements = mapper.keyframes, self._measurements
-        if not measurements.covers(keyframes) or not measurements.loops(keyframes, graph):
-            return solution, ""
-        outcome = solved(measurements.inputs(keyframes, graph), self._config.adjustment)
-        if outcome.poses is None:  # those of the pose graph remain
-            return solution, outcome.text
-        return replace(solution, graph=replace(solution.graph, poses=outcome.poses)), outcome.text
+    def _final_map(self) -> FinalMap:
+        """Return the final map of the frames so far, computed once."""
+        if self._final is None or self._final[0] != self._frames:
+            self._final = self._frames, FinalMap.of_flight(self.mapper, self._measurements, self._config)
+        return self._final[1]
 
     def close(self) -> None:
         """End the worker process, which otherwise ends with the last reference to this object."""
         self._map.close()
-
-
-@dataclass(frozen=True, eq=False)
-class _Final:
-    """The final map after a number of frames."""
-
-    frames: int
-    mapper: Mapper
-    solution: OptimizedGraph | None
-    """Its pose graph with the final poses; None if no keyframe has joined it."""
-    adjustment: str
-    """The outcome of the bundle adjustment; empty without one."""
-
-
-class _KeyframeMessages:
-    """Keeps the keyframes of the odometry until they leave the window; implements `KeyframeObserver`."""
-
-    def __init__(self, window_s: float) -> None:
-        """Begin without keyframes.
-
-        Args:
-            window_s: Longest time by which the first keyframe of a track is earlier than the frame that begins it [s].
-        """
-        self._window_ns = round(window_s * 1e9)
-        self._frame: CameraFrame | None = None
-        self._imu: deque[ImuSamples] | None = None  # since those of the last keyframe; None before the first samples
-        self._has_track = False  # whether there has been a keyframe since the last loss
-        self._imu_noise: PreintegrationParams | None = None
-        self._has_map_pose = True
-        self._waiting: dict[int, tuple[OdometryKeyframe, ImagedKeyframe, int]] = {}  # and its stamp
-        self._messages: list[MapMessage] = []
-
-    def add_imu(self, samples: ImuSamples) -> None:
-        """Keep IMU samples for the next keyframe that leaves the window."""
-        self._imu = deque() if self._imu is None else self._imu
-        if len(samples):
-            self._imu.append(samples)
-
-    def begin_frame(self, frame: CameraFrame, imu_noise: PreintegrationParams, *, has_map_pose: bool) -> None:
-        """Keep the images of the newest frame, which may become a keyframe.
-
-        Args:
-            frame: The frame.
-            imu_noise: The noise of the IMU as it is known.
-            has_map_pose: Whether the pose of the odometry frame in the map frame is known.
-        """
-        self._frame, self._imu_noise, self._has_map_pose = frame, imu_noise, has_map_pose
-        while not self._has_track and self._imu and self._imu[0].t_ns[-1] < frame.t_ns - self._window_ns:
-            self._imu.popleft()
-
-    def take(self) -> list[MapMessage]:
-        """Return the messages since the last call."""
-        messages, self._messages = self._messages, []
-        return messages
-
-    def added(self, keyframe: OdometryKeyframe) -> None:
-        """Let a keyframe of the odometry wait until it leaves the window, unless its images are those of an earlier
-        frame. If no image connects it with the one before, another track begins.
-        """
-        self._has_track = True
-        self._waiting = {t: known for t, known in self._waiting.items() if t in keyframe.window_times_ns}
-        frame = keyframe.frame or self._frame
-        if frame is None or not keyframe.is_of_newest_frame:
-            return
-        if not keyframe.is_connected:
-            self.lost()
-            self._has_track = True
-        images, R_odom_imu = tuple(frame.images), keyframe.state.T_world_imu[:3, :3]
-        imaged = ImagedKeyframe(images, keyframe.calibration.rig, R_odom_imu, keyframe.observations)
-        self._waiting[keyframe.t_ns] = keyframe, imaged, frame.t_ns
-        if not self._has_map_pose:
-            estimate = KeyframeEstimate.of_state(keyframe.state, keyframe.landmark_ids, keyframe.landmarks_odom)
-            self._messages.append(WindowKeyframe(imaged, estimate))
-
-    def marginalized(self, estimate: KeyframeEstimate) -> None:
-        """Let a keyframe of the odometry join the map, if its images are known."""
-        waiting = self._waiting.pop(estimate.t_ns, None)
-        if waiting is None:
-            return
-        known, imaged, stamp_ns = waiting
-        measured = None
-        if self._imu is not None and self._imu_noise is not None:
-            # Several keyframes may leave the window at one frame, of which the later ones have no further samples.
-            imu, self._imu = ImuSamples.concatenated(self._imu or [ImuSamples.empty()]), deque()
-            measured = KeyframeMeasurements(
-                known.state, known.observations, known.calibration, imu, self._imu_noise, stamp_ns
-            )
-        self._messages.append(MarginalizedKeyframe(imaged, estimate, measured))
-
-    def lost(self) -> None:
-        """Begin another track: later keyframes are in another odometry frame."""
-        self._waiting, self._has_map_pose, self._has_track = {}, False, False
-        self._messages.append(TrackLost(0 if self._frame is None else self._frame.t_ns))
 
 
 def _checked_map(rig: Rig, saved: SavedMap | Path | str | None, localize_only: bool) -> SavedMap | None:

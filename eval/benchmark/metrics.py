@@ -112,146 +112,120 @@ def _ate_percent(columns: Mapping[str, float]) -> float | None:
 
 
 RUN_METRICS = (
+    # Largest error of a step from one pose to the next: jumps of the estimate
     Metric(
         "Largest error of a step between poses", "m", 4, name="step_error_m",
         of=lambda run: largest_step_error_m(run.scored),
-        description="Largest error of a step from one pose to the next: jumps of the estimate.",
     ),
+    # Error of the velocity two seconds after the first pose; None if the estimate has no velocities
     Metric(
         "Velocity error 2 s after the first pose", "m/s", 3, name="start_velocity_error_m_s",
         of=lambda run: run.start.velocity_m_s,
-        description="Error of the velocity two seconds after the first pose; None if the estimate has no velocities.",
     ),
-    Metric(
-        "Speed 2 s after the first pose", "m/s", 2, None, "start_speed_m_s",
-        of=lambda run: run.start.speed_m_s,
-        description="True speed two seconds after the first pose.",
-    ),
+    # True speed two seconds after the first pose
+    Metric("Speed 2 s after the first pose", "m/s", 2, None, "start_speed_m_s", of=lambda run: run.start.speed_m_s),
+    # Root mean square of the true acceleration in the first two seconds
     Metric(
         "Acceleration in the first 2 s", "m/s²", 2, None, "start_acceleration_m_s2",
         of=lambda run: run.start.acceleration_m_s2,
-        description="Root mean square of the true acceleration in the first two seconds.",
     ),
+    # Relative error of the scale in the two seconds after the first pose, positive if it is too large; None at rest
     Metric(
         "Scale error in the first 2 s", "%", 1, None, "start_scale_error_percent",
         of=lambda run: run.start.scale_percent,
         signed=True,
-        description="Relative error of the scale in the two seconds after the first pose, positive if it is too large;"
-        " None at rest.",
     ),
+    # Longest time without tracking after the first frame that is tracked; None if none is, or for an external program
     Metric(
         "Longest time without tracking", "s", 2, name="longest_loss_s",
         of=lambda run: run.run and longest_loss_s(run.run),
-        description="Longest time without tracking after the first frame that is tracked; None if none is, or for an"
-        " external program.",
     ),
+    # Largest error of position while the estimator reports that it tracks, in standard deviations along the least
+    # certain axis; None if it never does, without covariances, or for an external program
     Metric(
         "Largest position error while tracking", "σ", 1, name="tracking_sigmas",
         of=lambda run: run.run and tracking_sigmas(run.run, run.scored.given.truth),
-        description="Largest error of position while the estimator reports that it tracks, in standard deviations along"
-        " the least certain axis; None if it never does, without covariances, or for an external program.",
     ),
+    # Position error over the frames later than 2 s after the first revisit, or over all frames without revisits, root
+    # mean square, after the alignment of `ate_m`; None if the simulated world is not known
     Metric(
         "RMSE after the first revisit", "m", 4, name="rmse_after_revisit_m",
         of=lambda run: run.rmse_after_revisit_m(run.scored),
-        description="Position error over the frames later than 2 s after the first revisit, or over all frames without"
-        " revisits, root mean square, after the alignment of ``ate_m``; None if the simulated world is not known.",
     ),
+    # The same of the path corrected by the final map, aligned by itself; None without a map
     Metric(
         "RMSE after the first revisit, final map", "m", 4, name="final_after_revisit_m",
         of=lambda run: run.rmse_after_revisit_m(run.final),
-        description="The same of the path corrected by the final map, aligned by itself; None without a map.",
     ),
+    # The same of the odometry of an estimator with a map, aligned by itself; None without a map
     Metric(
         "RMSE after the first revisit, odometry", "m", 4, None, "odometry_after_revisit_m",
         of=lambda run: run.rmse_after_revisit_m(run.odometry),
-        description="The same of the odometry of an estimator with a map, aligned by itself; None without a map.",
     ),
+    # Absolute position error of the path corrected by the final map, root mean square; None without a map
     Metric(
         "ATE, position, final map", "m", 4, name="final_ate_m",
         of=lambda run: run.final and run.final.scores.ate_m.rmse,
-        description="Absolute position error of the path corrected by the final map, root mean square; None without a"
-        " map.",
     ),
-    Metric(
-        "Recall of revisits", "%", 1, "high", "recall_percent",
-        of=_recall_percent,
-        description="Share of the revisiting keyframes with a right loop within 1 s; None without revisits.",
-    ),
-    Metric(
-        "Time of the first revisit", "s", 1, None, "first_revisit_s",
-        of=lambda run: run.first_revisit_s,
-        description="Time from the first frame to the first revisit of a place by the true motion; None without"
-        " revisits, or if the simulated world is not known.",
-    ),
+    # Share of the revisiting keyframes with a right loop within 1 s; None without revisits
+    Metric("Recall of revisits", "%", 1, "high", "recall_percent", of=_recall_percent),
+    # Time from the first frame to the first revisit of a place by the true motion; None without revisits, or if the
+    # simulated world is not known
+    Metric("Time of the first revisit", "s", 1, None, "first_revisit_s", of=lambda run: run.first_revisit_s),
+    # Number of loops that the final map accepts; None without a map
     Metric(
         "Loops", "", 0, None, "loops",
         of=lambda run: None if run.run is None or run.run.map is None else len(run.run.map.closed),
-        description="Number of loops that the final map accepts; None without a map.",
     ),
-    Metric(
-        "Wrong loops", "", 0, None, "wrong_loops",
-        of=lambda run: run.loops and run.loops.wrong,
-        description="Number of them whose relative pose is wrong; None if the simulated world is not known.",
-    ),
+    # Number of them whose relative pose is wrong; None if the simulated world is not known
+    Metric("Wrong loops", "", 0, None, "wrong_loops", of=lambda run: run.loops and run.loops.wrong),
+    # Mean processor time of all threads per frame
     Metric(
         "Mean processor time per frame", "ms", 1, name="cpu_ms_mean",
         of=lambda run: run.cost.cpu_ms_mean,
         counts_failed=False,
-        description="Mean processor time of all threads per frame.",
     ),
+    # 99th percentile of the processor time per frame; None for an external program
     Metric(
         "99th percentile of the processor time per frame", "ms", 1, name="cpu_ms_p99",
         of=lambda run: run.cost.cpu_ms_p99,
         counts_failed=False,
-        description="99th percentile of the processor time per frame; None for an external program.",
     ),
+    # Mean processor time per frame of the process that builds the map, a part of `cpu_ms_mean`; None without a map
     Metric(
         "Mean processor time of the map process per frame", "ms", 1, name="worker_cpu_ms",
         of=lambda run: run.cost.worker_cpu_ms,
         counts_failed=False,
-        description="Mean processor time per frame of the process that builds the map, a part of ``cpu_ms_mean``; None"
-        " without a map.",
     ),
+    # Mean processor time per frame in the last quarter of the flight, relative to the second quarter; None for an
+    # external program
     Metric(
         "Processor time, last / second quarter", "×", 2, name="cpu_growth",
         of=lambda run: run.run and run.run.cpu_growth,
         counts_failed=False,
-        description="Mean processor time per frame in the last quarter of the flight, relative to the second quarter;"
-        " None for an external program.",
     ),
+    # Seconds of flight that are estimated in one second of processor time
     Metric(
         "Flight / processor time", "×", 1, "high", "real_time_factor",
         of=lambda run: run.cost.real_time_factor,
         counts_failed=False,
-        description="Seconds of flight that are estimated in one second of processor time.",
     ),
-    Metric(
-        "Peak memory", "MB", 1, name="peak_mb",
-        of=lambda run: run.cost.peak_mb,
-        counts_failed=False,
-        description="Peak memory of the process, or of the largest process of an external program.",
-    ),
+    # Peak memory of the process, or of the largest process of an external program
+    Metric("Peak memory", "MB", 1, name="peak_mb", of=lambda run: run.cost.peak_mb, counts_failed=False),
+    # Elapsed time of the run's process
     Metric(
         "Elapsed time of the run", "s", 1, "any", "wall_s",
         of=lambda run: None,  # it ends after this; see `Job.row`
         counts_failed=False,
-        description="Elapsed time of the run's process.",
     ),
-    Metric(
-        "Results of the map process", "", 0, None, "map_results",
-        of=lambda run: run.cost.map_results,
-        description="Number of results of the process that builds the map; None without a map.",
-    ),
-    Metric(
-        "Waits for the map process", "", 0, None, "map_waits",
-        of=lambda run: run.cost.map_waits,
-        description="Number of results for which a frame had to wait; None without a map.",
-    ),
+    # Number of results of the process that builds the map; None without a map
+    Metric("Results of the map process", "", 0, None, "map_results", of=lambda run: run.cost.map_results),
+    # Number of results for which a frame had to wait; None without a map
+    Metric("Waits for the map process", "", 0, None, "map_waits", of=lambda run: run.cost.map_waits),
+    # Time from the first frame to the last
     Metric(
         "Duration of the flight", "s", 1, None, "duration_s",
         of=lambda run: float(run.frame_times_ns[-1] - run.frame_times_ns[0]) * 1e-9,
-        description="Time from the first frame to the last.",
     ),
 )  # fmt: skip
 """The metrics that are no scores of a trajectory."""

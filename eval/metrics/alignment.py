@@ -11,14 +11,12 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.quaternions import quat_product_wxyz
 from dronevio.models.rotation import matrix_from_quat_wxyz, quat_wxyz_from_matrix, rotation_z, yaw_rad_from_matrix
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 AlignmentMode = Literal["none", "first", "yaw", "se3", "sim3", "scale"]
 """What is aligned: nothing; the first pose; yaw and position; rotation and position; rotation, position and scale; or

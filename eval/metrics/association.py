@@ -5,12 +5,12 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.imu import Times
 from dronevio.models.quaternions import slerp_quat_wxyz
 from dronevio.models.state import Trajectory
 
-Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
 
 Association = Literal["interpolate", "nearest", "evo"]

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import EvaluationError
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

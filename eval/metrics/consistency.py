@@ -10,15 +10,13 @@ Reference: Bar-Shalom, Li, Kirubarajan, "Estimation with applications to trackin
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.eval.metrics.alignment import Alignment, align
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.imu import Times
 from dronevio.models.rotation import log_so3
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

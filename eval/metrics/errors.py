@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.eval.metrics.alignment import AlignmentMode, align
 from dronevio.eval.metrics.association import Rows
 from dronevio.eval.metrics.pairs import PairRule, Pairs, Selection, Source, Unit
+from dronevio.models.arrays import Array
 from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import Times
 from dronevio.models.quaternions import (
@@ -24,8 +24,6 @@ from dronevio.models.quaternions import (
     rotate,
 )
 from dronevio.models.rotation import nearest_rotations, quat_wxyz_from_matrix
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

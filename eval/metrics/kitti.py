@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from dronevio.eval.metrics.alignment import umeyama
 from dronevio.eval.metrics.pairs import path_lengths_m
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError, EvaluationError
 
-Array = npt.NDArray[np.float64]
 Frames = npt.NDArray[np.int64]
 
 LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)

@@ -11,14 +11,12 @@ Reference: Zhang and Scaramuzza, "A tutorial on quantitative trajectory evaluati
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.eval.metrics.errors import Statistics, relative_errors, rotation_between
 from dronevio.eval.metrics.pairs import Pairs, pairs_after_distance
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.quaternions import components, conjugate, euler_zyx_rad, product, yaw_rad
-
-Array = npt.NDArray[np.float64]
 
 DEFAULT_SHARES = (0.1, 0.2, 0.3, 0.4, 0.5)
 """Default lengths as shares of the length of the path."""

@@ -45,8 +45,6 @@ class Metric:
     """Whether it is an error with a direction: over many runs, magnitudes are compared."""
     counts_failed: bool = True
     """Whether a failed run counts as the worst value; otherwise it is left out."""
-    description: str = ""
-    """Definition of a metric that is not a field of `Scores`."""
 
     @property
     def heading(self) -> str:

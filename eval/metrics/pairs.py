@@ -9,14 +9,13 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.eval.metrics.association import Rows, nearest_rows
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
 from dronevio.models.quaternions import angles_rad, components, conjugate, product, select
 
-Array = npt.NDArray[np.float64]
 Pairs = tuple[Rows, Rows]
 """First and second rows of pairs, each (M,)."""
 

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.eval.metrics.alignment import Alignment, umeyama
+from dronevio.models.arrays import Array
 from dronevio.models.errors import EvaluationError
 from dronevio.models.reconstruction import Reconstruction
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 FIELD_COLUMNS = 16

@@ -15,13 +15,13 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import inverse_pose, log_so3
 
-Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.int64]
 

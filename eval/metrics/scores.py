@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.eval.metrics.alignment import AlignmentMode, umeyama
 from dronevio.eval.metrics.association import Association, nearest_rows
@@ -18,11 +17,10 @@ from dronevio.eval.metrics.errors import Statistics, translation_errors_m
 from dronevio.eval.metrics.lengths import LengthErrors
 from dronevio.eval.metrics.metric import Metric, computed, computed_values, metrics_of
 from dronevio.eval.metrics.trajectory_errors import Compared, ScoreOptions, TrajectoryErrors
+from dronevio.models.arrays import Array
 from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import Times
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 START_UP_S = 3.0
 """Time after the first frame before which frames do not count for the coverage [s]."""

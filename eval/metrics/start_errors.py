@@ -3,16 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.eval.metrics.alignment import align
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.errors import relative_errors
 from dronevio.eval.metrics.scores import ScoredTrajectory
+from dronevio.models.arrays import Array
 from dronevio.models.imu import Times
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 SPAN_S = 2.0
 """Time after the first frame or pose to which the errors of an initialization refer [s]."""

@@ -7,14 +7,11 @@ estimated only on request.
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.eval.metrics.alignment import AlignmentMode, align
 from dronevio.eval.metrics.errors import translation_errors_m
 from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 _MAX_POSES = 2_000  # enough for a single number
 _MIN_POSES = 10

@@ -4,19 +4,15 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
-import numpy as np
-import numpy.typing as npt
-
 from dronevio.eval.metrics.alignment import Alignment, AlignmentMode, align
 from dronevio.eval.metrics.association import Association, associate
 from dronevio.eval.metrics.consistency import Consistency, consistency
 from dronevio.eval.metrics.errors import relative_errors, rotation_errors_rad, translation_errors_m
 from dronevio.eval.metrics.lengths import DEFAULT_SHARES, LengthErrors, errors_by_length
 from dronevio.eval.metrics.pairs import PairRule
+from dronevio.models.arrays import Array
 from dronevio.models.imu import Times
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

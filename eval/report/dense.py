@@ -17,9 +17,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from dronevio.eval.images import Image, downscaled, jpeg
+from dronevio.eval.images import downscaled, jpeg
 from dronevio.eval.metrics.clouds import mesh_points
 from dronevio.eval.provenance import RunInfo
 from dronevio.eval.report.tables import Cell, Table
@@ -27,12 +26,10 @@ from dronevio.eval.report.templating import Tile, number, render_page
 from dronevio.eval.scene import VIEWER_FIELD_OF_VIEW_RAD, upright_rotation
 from dronevio.eval.splatting import ViewCamera, shaded, splat
 from dronevio.eval.surface_view import surface_view
+from dronevio.models.arrays import Floats, Image
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.recordings.files import write_bytes, write_text
 from dronevio.models.surfaces import Mesh, PointCloud
-
-Array = npt.NDArray[np.float64]
-Floats = npt.NDArray[np.float32]
 
 FORMAT = "dronevio-dense-report/1"
 MAX_PHOTOGRAPHS = 6

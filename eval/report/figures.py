@@ -14,15 +14,13 @@ from typing import Any, Literal
 
 import matplotlib as mpl
 import numpy as np
-import numpy.typing as npt
 from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from dronevio.eval import colours
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 INK = "#1f2328"
 """Colour of text and axes; pages replace it by one of the light or dark mode."""

@@ -4,7 +4,6 @@ Each function draws into axes that it is given.
 """
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
@@ -13,11 +12,10 @@ from dronevio.eval.map_results import MapResults, OnlineCorrection
 from dronevio.eval.metrics import Alignment, ScoredTrajectory
 from dronevio.eval.report.figures import INK, draw_line
 from dronevio.eval.report.plots import TOP_VIEW
+from dronevio.models.arrays import Array
 from dronevio.models.imu import Times
 from dronevio.models.slam_map import SlamMap
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 MIN_SHOWN_MM, MIN_SHOWN_DEG = 0.1, 0.01
 """Corrections up to which the axes of their plots reach at least, in position [mm] and yaw [°]."""

@@ -25,18 +25,16 @@ from dataclasses import asdict, dataclass
 from typing import Literal, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.eval.map_results import MapResults, MapSummary
 from dronevio.eval.metrics import IDENTITY, ScoredTrajectory, Scores
 from dronevio.eval.provenance import RunInfo
 from dronevio.eval.run import EstimatorRun, Innovations
+from dronevio.models.arrays import Array
 from dronevio.models.defects import defect_values
 from dronevio.models.policies.outcome import PolicyOutcome
 from dronevio.models.protocols import Recording
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 FORMAT = "dronevio-report/1"
 
@@ -243,4 +241,6 @@ class RunReport:
     def values(self) -> dict[str, object]:
         """The content of ``report.json``."""
         sections = asdict(self)
-        return {"format": FORMAT, **sections.pop("info"), **sections}
+        info = sections.pop("info")
+        origin = {name: info.pop(name) for name in ("configuration", "versions", "machine")}
+        return {"format": FORMAT, **info, **sections, **origin}

@@ -9,12 +9,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.eval import colours
+from dronevio.models.arrays import Array
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 AZIMUTH_DEG, ELEVATION_DEG = -60.0, 30.0
 """Direction from the scene to the viewer: angle around z from the x axis, and angle above the horizontal plane [°]."""

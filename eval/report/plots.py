@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
@@ -18,11 +17,10 @@ from dronevio.eval.metrics import ScoredTrajectory, nees_bounds, relative_errors
 from dronevio.eval.metrics.lengths import pairs_of_length
 from dronevio.eval.report.figures import INK, Boxes, draw_boxes, draw_line, figure, save_png, set_log_scale
 from dronevio.eval.run import EstimatorRun
+from dronevio.models.arrays import Array
 from dronevio.models.imu import Times
 from dronevio.models.recordings.files import check_output_path
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 _MIN_NEES, _MAX_NEES = 1e-2, 1e4  # values beyond are drawn at these limits
 _HISTOGRAM_BINS = 40

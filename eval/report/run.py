@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.eval.map_results import MapResults
 from dronevio.eval.metrics import ScoredTrajectory
@@ -14,10 +13,9 @@ from dronevio.eval.report.model import ControlResult, RunReport, RunResults
 from dronevio.eval.report.page import run_page
 from dronevio.eval.report.plots import SIDE_VIEW, TOP_VIEW, draw_path
 from dronevio.eval.run import EstimatorRun
+from dronevio.models.arrays import Array
 from dronevio.models.policies.outcome import PolicyOutcome
 from dronevio.models.protocols import Recording
-
-Array = npt.NDArray[np.float64]
 
 
 def write_report(

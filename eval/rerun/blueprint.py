@@ -3,15 +3,12 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
 import rerun.blueprint as rrb
 
 from dronevio.eval.rerun import entities
 from dronevio.eval.rerun.entities import EstimateEntities
 from dronevio.eval.scene import fit_view
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 TIMELINE = "time"
 BACKGROUND = [18, 21, 26]

@@ -7,10 +7,9 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import inverse_pose, pose_matrix
-
-Array = npt.NDArray[np.float64]
 
 SPAN_M = 0.56
 """Distance between the centres of opposite rotors, plus a rotor, of the body at its own size [m]."""

@@ -6,7 +6,6 @@ Estimates can be logged all at once or, while the estimator runs, in pieces: eac
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import numpy.typing as npt
 import rerun as rr
 
 from dronevio.eval import colours
@@ -26,10 +25,9 @@ from dronevio.eval.rerun.events import EventLog
 from dronevio.eval.rerun.map import MapLog
 from dronevio.eval.rerun.sink import Sink, quat_xyzw
 from dronevio.eval.run import POSE_IS_VALID, map_trajectory_of, tracks_of
+from dronevio.models.arrays import Array
 from dronevio.models.imu import Times
 from dronevio.models.state import Estimate, Health, Trajectory
-
-Array = npt.NDArray[np.float64]
 
 AlignmentRule = Callable[[Trajectory], Alignment]
 """Returns the alignment of an estimate with the displayed world frame, given the first poses; it is called once."""

@@ -3,16 +3,14 @@
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 import rerun as rr
 
 from dronevio.eval.rerun.entities import EstimateEntities
 from dronevio.eval.rerun.sink import Sink
 from dronevio.eval.run import is_warning
+from dronevio.models.arrays import Array
 from dronevio.models.imu import Times
 from dronevio.models.state import Estimate, Health
-
-Array = npt.NDArray[np.float64]
 
 KEYFRAME = "keyframe"
 """Event of an estimate whose frame became a keyframe."""

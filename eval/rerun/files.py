@@ -8,9 +8,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
-
 from dronevio.eval import colours
 from dronevio.eval.map_results import MapResults
 from dronevio.eval.metrics import IDENTITY, Alignment, ScoredTrajectory, interpolate
@@ -23,12 +20,11 @@ from dronevio.eval.rerun.sink import Sink
 from dronevio.eval.rerun.surroundings import NO_SURROUNDINGS, Surroundings
 from dronevio.eval.rerun.video import VideoSettings
 from dronevio.eval.run import EstimatorRun
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Recording
 from dronevio.models.state import CameraFrame, Estimate, Trajectory
-
-Array = npt.NDArray[np.float64]
 
 ESTIMATE = "estimate"
 """Name of the estimator in the file of a run."""

@@ -7,7 +7,8 @@ import numpy as np
 import rerun as rr
 
 from dronevio.eval.rerun.sink import Sink
-from dronevio.eval.rerun.video import Av1Encoder, Image, VideoSample, VideoSettings
+from dronevio.eval.rerun.video import Av1Encoder, VideoSample, VideoSettings
+from dronevio.models.arrays import Image
 
 _JPEG_QUALITY = 75
 

@@ -9,7 +9,6 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 import rerun as rr
 
 from dronevio.eval import colours
@@ -20,13 +19,13 @@ from dronevio.eval.rerun.estimate import PATH_RADIUS, PATH_SO_FAR_RADIUS, Alignm
 from dronevio.eval.rerun.images import ImageLog
 from dronevio.eval.rerun.sink import Sink
 from dronevio.eval.rerun.surroundings import Surroundings
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.protocols import Recording
 from dronevio.models.rig import Rig
 from dronevio.models.scenery import TexturedMesh
 from dronevio.models.state import CameraFrame, Trajectory
 
-Array = npt.NDArray[np.float64]
 ImageLogFactory = Callable[[Sink, str, float], ImageLog]
 """Makes the log of a camera's images from sink, entity and frame rate [Hz]."""
 

@@ -7,7 +7,6 @@ its end: it is valid at all times.
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 import rerun as rr
 
 from dronevio.eval import colours
@@ -15,9 +14,8 @@ from dronevio.eval.map_results import MapResults, OnlineCorrection
 from dronevio.eval.metrics import Alignment
 from dronevio.eval.rerun.entities import MapEntities
 from dronevio.eval.rerun.sink import Sink
+from dronevio.models.arrays import Array
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 _PATH_RADIUS, _GRAPH_RADIUS = rr.Radius.ui_points(1.5), rr.Radius.ui_points(0.8)
 _POINT_RADIUS, _NODE_RADIUS, _LOOP_RADIUS = (rr.Radius.ui_points(points) for points in (1.0, 2.0, 1.0))

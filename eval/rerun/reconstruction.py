@@ -9,23 +9,22 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import rerun as rr
 import rerun.blueprint as rrb
 
 from dronevio.eval import colours
-from dronevio.eval.images import Image, downscaled, jpeg
+from dronevio.eval.images import downscaled, jpeg
 from dronevio.eval.rerun import entities
 from dronevio.eval.rerun.blueprint import BACKGROUND
 from dronevio.eval.rerun.entities import ComponentEntities
 from dronevio.eval.rerun.sink import Sink
 from dronevio.eval.scene import ResidualStyle, frustum_depth, reconstruction_view, upright_rotation
+from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import EvaluationError
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.recordings.files import check_output_path
 
-Array = npt.NDArray[np.float64]
 ReadImage = Callable[[str], Image | None]
 """Function that returns the image (H, W) or (H, W, 3) of a name, or None if there is none."""
 

@@ -15,10 +15,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from dronevio.eval import colours
+from dronevio.models.arrays import Array
 from dronevio.models.imu import Times
 from dronevio.models.rotation import quat_wxyz_from_matrix, quat_xyzw_from_wxyz
-
-Array = npt.NDArray[np.float64]
 
 APPLICATION = "dronevio"
 TIMELINE = "time"

@@ -4,11 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.scenery import TexturedMesh
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,14 +12,13 @@ from typing import Annotated
 
 import av
 import numpy as np
-import numpy.typing as npt
 from av.video.reformatter import ColorRange
 
 from dronevio.eval.rerun.encoder_threads import open_encoder, wait_until_idle
+from dronevio.models.arrays import Image
 from dronevio.models.ranges import Range, Settings
 
 _NEUTRAL_CHROMA = 128  # of both colour differences
-Image = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,10 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from dronevio.models.arrays import Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
-from dronevio.models.image_sets.image_set import FocalSource, Image, ImageSet, Indices
+from dronevio.models.image_sets.image_set import FocalSource, ImageSet, Indices
 from dronevio.models.image_sets.intrinsics import initial_camera
 from dronevio.models.image_sets.masks import find_masks
 from dronevio.models.image_sets.photos import (

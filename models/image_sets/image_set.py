@@ -7,14 +7,12 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuModel, ImuSamples, Times
 
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 FocalSource = Literal["calibration", "exif-35mm", "exif-focal-plane", "assumed"]
 """Source of a focal length: a calibration, the 35 mm equivalent or the resolution of the focal plane in EXIF data, or

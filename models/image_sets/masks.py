@@ -11,9 +11,10 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from dronevio.models.arrays import Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
-from dronevio.models.image_sets.image_set import Indices, Mask
+from dronevio.models.image_sets.image_set import Indices
 from dronevio.models.image_sets.photos import read_photo
 
 

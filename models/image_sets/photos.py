@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from dronevio.models.arrays import Image
 from dronevio.models.errors import InputError
-from dronevio.models.image_sets.image_set import Image
 from dronevio.models.image_sets.intrinsics import ExifCamera, exif_camera
 from dronevio.models.recordings.bit_depth import MAX_BITS, DeepImage, significant_bits, spread, to_8bit
 from dronevio.models.recordings.files import check_regular_file

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from dronevio.models.arrays import Image
 from dronevio.models.errors import ConfigError
-from dronevio.models.image_sets.image_set import FocalSource, Image, ImageSet, Indices, InertialData
+from dronevio.models.image_sets.image_set import FocalSource, ImageSet, Indices, InertialData
 from dronevio.models.image_sets.masks import find_masks
 from dronevio.models.imu import Times
 from dronevio.models.protocols import Recording

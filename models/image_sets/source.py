@@ -1,4 +1,4 @@
-"""Where the images of a result come from, as a JSON file, so that a later step finds and reads them again.
+"""Source of the images of a result, as a JSON file by which a later step reads them again.
 
 The file holds the fields of `ImageSource`; paths are absolute.
 """
@@ -20,7 +20,7 @@ _EXPECTED = "a description of images as `dronevio sfm` writes it"
 
 @dataclass(frozen=True)
 class ImageSource:
-    """Where images are."""
+    """Source of images."""
 
     path: Path
     """Folder of images, video or recording."""
@@ -45,7 +45,7 @@ class ImageSource:
 
 
 def write_image_source(path: Path, source: ImageSource) -> None:
-    """Write where images are.
+    """Write the source of images.
 
     Raises:
         InputError: The file cannot be written.
@@ -58,7 +58,7 @@ def write_image_source(path: Path, source: ImageSource) -> None:
 
 
 def read_image_source(path: Path) -> ImageSource:
-    """Read where images are.
+    """Read the source of images.
 
     Raises:
         InputError: The file is missing or damaged.

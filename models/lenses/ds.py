@@ -9,12 +9,10 @@ unified model, `eucm` with β = 1. The field of view may exceed 90° from the ax
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.lenses import eucm
 from dronevio.models.ranges import Range
-
-Array = npt.NDArray[np.float64]
 
 COEFFICIENTS: Mapping[str, Range] = {"xi": Range(high=1.0, above=-1.0), "alpha": Range(0.0, 1.0)}
 """Names and ranges of the coefficients ξ and α."""

@@ -11,12 +11,11 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.lenses.monotone import inverse
 from dronevio.models.ranges import FINITE, Range
 
-Array = npt.NDArray[np.float64]
 Coefficients = tuple[float, ...]
 
 COEFFICIENTS: Mapping[str, Range] = dict.fromkeys(("k1", "k2", "k3", "k4"), FINITE)

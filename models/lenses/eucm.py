@@ -10,11 +10,9 @@ it is the unified model; with α = 0 the pinhole. For α > 0 the field of view m
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.ranges import Range
-
-Array = npt.NDArray[np.float64]
 
 COEFFICIENTS: Mapping[str, Range] = {"alpha": Range(0.0, 1.0), "beta": Range(1e-3, 1e3)}
 """Names and ranges of the coefficients α and β."""

@@ -9,11 +9,9 @@ Kalibr's ``fov``, COLMAP's ``FOV``. The field of view is below 90° from the axi
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.ranges import Range
-
-Array = npt.NDArray[np.float64]
 
 COEFFICIENTS: Mapping[str, Range] = {"w": Range(1e-6, 3.14)}
 """Name and range of the coefficient w, the field of view of an ideal fisheye [rad]."""

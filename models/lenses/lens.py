@@ -3,14 +3,11 @@
 from collections.abc import Mapping
 from typing import Literal, Protocol
 
-import numpy as np
-import numpy.typing as npt
-
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.lenses import ds, equidistant, eucm, fov, omni, radtan
 from dronevio.models.ranges import Range
 
-Array = npt.NDArray[np.float64]
 Coefficients = tuple[float, ...]
 LensName = Literal["radtan", "equidistant", "fov", "ds", "eucm", "omni"]
 

@@ -3,9 +3,8 @@
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 _ITERATIONS = 60  # Newton usually needs 4; bisection alone would need 52 for double precision
 _CONVERGED = 1e-15  # step relative to the limit

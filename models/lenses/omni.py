@@ -9,13 +9,11 @@ Kalibr's ``omni``, OpenCV's ``omnidir``, camodocal's ``MEI``. The field of view 
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.lenses import radtan
 from dronevio.models.lenses.ds import from_sphere
 from dronevio.models.ranges import FINITE, Range
-
-Array = npt.NDArray[np.float64]
 
 COEFFICIENTS: Mapping[str, Range] = {"xi": Range(0.0, 1e3), **dict.fromkeys(("k1", "k2", "p1", "p2"), FINITE)}
 """Names and ranges of the coefficients: ξ, and those of `radtan`."""

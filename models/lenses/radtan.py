@@ -15,13 +15,12 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 from numpy.polynomial import polynomial
 
+from dronevio.models.arrays import Array
 from dronevio.models.lenses.monotone import inverse
 from dronevio.models.ranges import FINITE, Range
 
-Array = npt.NDArray[np.float64]
 Coefficients = tuple[float, ...]
 
 COEFFICIENTS: Mapping[str, Range] = dict.fromkeys(("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), FINITE)

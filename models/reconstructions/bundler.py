@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.reconstructions.parsing import (
     LARGEST_IMAGE_PX,
     LARGEST_NUMBER,
-    Array,
     Indices,
     check_image_name,
     check_image_size,

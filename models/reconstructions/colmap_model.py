@@ -11,13 +11,13 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.reconstructions.colmap_cameras import PIXEL_SHIFT
 from dronevio.models.rotation import inverse_pose, matrix_from_quat_wxyz, pose_matrix, quat_wxyz_from_matrix
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 NO_POINT = -1

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import InputError
 from dronevio.models.reconstructions.colmap_cameras import camera_from_colmap, camera_to_colmap
 from dronevio.models.reconstructions.colmap_model import ColmapCameras, ColmapImages, ColmapPoints
 from dronevio.models.reconstructions.parsing import (
-    Array,
     Indices,
     check_image_name,
     check_unit_quaternion,

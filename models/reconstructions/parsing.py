@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import InputError
 from dronevio.models.rotation import nearest_rotations
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 LARGEST_NUMBER = 1e100

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.reconstruction import Reconstruction
-from dronevio.models.reconstructions.parsing import Array, check_numbers, colours_from_numbers, parse_numbers, truncated
+from dronevio.models.reconstructions.parsing import check_numbers, colours_from_numbers, parse_numbers, truncated
 from dronevio.models.recordings.files import read_bytes, write_bytes
 
 Colours = npt.NDArray[np.uint8]

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from dronevio.models.arrays import Array
 from dronevio.models.recordings.files import write_bytes
-from dronevio.models.surfaces import Array, Colours, Mesh, PointCloud
+from dronevio.models.surfaces import Colours, Mesh, PointCloud
 
 _VERTEX = np.dtype([("position", "<f4", 3), ("normal", "<f4", 3), ("colour", "u1", 3)])
 _FACE = np.dtype([("count", "u1"), ("vertices", "<i4", 3)])

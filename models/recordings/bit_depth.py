@@ -11,7 +11,8 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-Image = npt.NDArray[np.uint8]
+from dronevio.models.arrays import Image
+
 DeepImage = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 """Image with 8 or 16 bits per channel, as it is stored."""
 Item = TypeVar("Item")

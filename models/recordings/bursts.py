@@ -3,9 +3,9 @@
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import Times
 
-Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
 
 

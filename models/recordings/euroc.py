@@ -15,6 +15,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.defects import Defect
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel, ImuSamples, Times
@@ -43,8 +44,6 @@ from dronevio.models.recordings.timed_table import (
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rig import Rig, check_camera_count
 from dronevio.models.state import CameraFrame, Trajectory
-
-Array = npt.NDArray[np.float64]
 
 IMU_TABLE = TableFormat("an EuRoC IMU table", (7,), ",", parse_integer_ns, "whole nanoseconds")
 """Columns: time, angular velocity x y z [rad/s], specific force x y z [m/s²]."""

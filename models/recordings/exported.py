@@ -7,7 +7,6 @@ until the stamps exceed the length of their initialization.
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.models.imu import ImuSamples, Sampling, Times
 from dronevio.models.protocols import Recording
@@ -15,8 +14,6 @@ from dronevio.models.recordings.frame_truth import FrameTruth
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3
 from dronevio.models.state import CameraFrame, Trajectory
-
-Array = npt.NDArray[np.float64]
 
 EPOCH_NS = 1_600_000_000 * 10**9
 """Time stamp of the start of a simulated flight in exports: 13 September 2020, 12:26:40 UTC [ns]."""

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.defects import Defect
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuSamples, Times
@@ -18,8 +18,6 @@ from dronevio.models.recordings.repair import imu_defects, repaired_samples, unp
 from dronevio.models.recordings.segments import split_at_steps, usable_segments
 from dronevio.models.recordings.timed_table import TimedTable, check_table
 from dronevio.models.rig import Rig
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,6 @@ import numpy.typing as npt
 from dronevio.models.imu import Times
 
 Rows = npt.NDArray[np.int64]
-Array = npt.NDArray[np.float64]
 
 SYNC_TOLERANCE_S = 1e-3
 """Difference of time stamps up to which cameras are taken as exposed at one time, if the median is below it [s]."""

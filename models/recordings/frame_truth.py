@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import InputError
 from dronevio.models.imu import Times
 from dronevio.models.recordings.files import read_text
 from dronevio.models.recordings.timed_table import TIME_LIMIT_NS, TableFormat, parse_integer_ns, parse_timed_table
-
-Array = npt.NDArray[np.float64]
 
 FRAME_TRUTH_FILE = Path("frame_groundtruth0") / "data.csv"
 """Path of the table below ``mav0``."""

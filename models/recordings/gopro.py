@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.defects import Defect, DefectKind
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuModel, ImuSamples, Times
@@ -31,8 +31,6 @@ from dronevio.models.recordings.split_imu import interpolated_accel
 from dronevio.models.recordings.video_frames import VideoFrames, read_video_index
 from dronevio.models.rig import Rig, check_camera_count
 from dronevio.models.state import NO_IMAGE, CameraFrame, Trajectory
-
-Array = npt.NDArray[np.float64]
 
 IMU_AXES = "yxz"
 """Axes of the IMU of a GoPro camera along the axes of the camera; see `imu_rotation_named`."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 SENSORS = ("GYRO", "ACCL")
 """Keys of the samples of gyroscope [rad/s] and accelerometer [m/s²]."""

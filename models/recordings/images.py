@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Image
 from dronevio.models.defects import Defect, DefectKind
 from dronevio.models.errors import InputError
 from dronevio.models.imu import Times
@@ -15,8 +15,6 @@ from dronevio.models.recordings.files import check_regular_file
 from dronevio.models.recordings.frame_groups import delays_of_frame
 from dronevio.models.recordings.image_header import check_decoded_size, header_of
 from dronevio.models.state import NO_IMAGE, CameraFrame
-
-Image = npt.NDArray[np.uint8]
 
 
 class DamagedImageError(InputError):

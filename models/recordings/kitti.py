@@ -13,6 +13,7 @@ from typing import NoReturn
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import InputError
 from dronevio.models.imu import Times
 from dronevio.models.recordings.files import first_row, read_text, write_text
@@ -27,8 +28,6 @@ from dronevio.models.recordings.timed_table import (
 )
 from dronevio.models.rotation import nearest_rotations, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 FRAME_NS = 100_000_000
 """Interval between frames if no times are given: KITTI's cameras run at 10 Hz [ns]."""

@@ -15,8 +15,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
 from dronevio.models.imu import EUROC_IMU, ImuModel, Times
@@ -30,8 +30,6 @@ from dronevio.models.recordings.timed_table import NUMBER, TableFormat, TimedTab
 from dronevio.models.rig import Rig, RigCamera, check_camera_count
 from dronevio.models.rotation import inverse_pose, matrix_from_quat_wxyz, pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 OXTS_TABLE = TableFormat("samples of KITTI's oxts", (7,), None, parse_decimal_seconds, "seconds")
 """Angular velocity and specific force of the samples, as a table."""

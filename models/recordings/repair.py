@@ -1,4 +1,4 @@
-"""Detection of the defects of a recording, and what a reader makes of its time stamps in spite of them."""
+"""Detection of the defects of a recording, and repair of its time stamps."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -7,9 +7,8 @@ the gyroscope, which is the faster one of the two in general.
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import IMU_GAP_INTERVALS, Times
-
-Array = npt.NDArray[np.float64]
 
 
 def interpolated_accel(gyro_t_ns: Times, accel_t_ns: Times, accel_m_s2: Array) -> tuple[npt.NDArray[np.int64], Array]:

@@ -14,11 +14,10 @@ from typing import Literal, NoReturn
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import InputError
 from dronevio.models.imu import Times
 from dronevio.models.recordings.files import read_text
-
-Array = npt.NDArray[np.float64]
 
 Repeated = Literal["refuse", "first", "last", "keep"]
 """Treatment of rows that repeat the time stamp of the previous row: raise an error, use the first or the last of them,

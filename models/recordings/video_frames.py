@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Image
 from dronevio.models.errors import InputError
 from dronevio.models.recordings.files import check_regular_file
 from dronevio.models.recordings.image_header import MAX_FRAME_PIXELS
@@ -23,7 +24,6 @@ from dronevio.models.recordings.image_header import MAX_FRAME_PIXELS
 if TYPE_CHECKING:
     from av.video.frame import VideoFrame
 
-Image = npt.NDArray[np.uint8]
 Indices = npt.NDArray[np.int64]
 
 _EXPECTED = "a video that can be decoded"

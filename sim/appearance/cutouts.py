@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.sim.appearance.instances import UNNAMED, Instance
 from dronevio.sim.appearance.scenery import Page, facing
 from dronevio.sim.appearance.solids import Paint
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 Indices = npt.NDArray[np.intp]
 

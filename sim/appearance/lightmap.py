@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.sim.appearance.solids import Box, Surface, size_m
 from dronevio.sim.appearance.textures import PIXELS_PER_M
 
-Array = npt.NDArray[np.float64]
 Field = npt.NDArray[np.float32]
 
 _PATCHES_PER_M = 7.0  # at the full resolution of a texture

@@ -9,7 +9,8 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from dronevio.sim.appearance.textures import BOOK_COLOURS, Image, grain, shade, speckle, to_image, vary
+from dronevio.models.arrays import Image
+from dronevio.sim.appearance.textures import BOOK_COLOURS, grain, shade, speckle, to_image, vary
 
 Picture = Callable[[np.random.Generator, int, int], Image]
 """Draws an image of the given height and width [px]."""

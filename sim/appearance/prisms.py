@@ -6,13 +6,11 @@ A prism over a regular polygon with an even number of sides is exactly the union
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures
 from dronevio.sim.appearance.solids import Box
-
-Array = npt.NDArray[np.float64]
 
 UNPAINTED = partial(textures.plain, colour=(0.0, 0.0, 0.0))
 """Paint of boxes that are obstacles only and are never visible."""

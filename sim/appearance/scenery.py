@@ -12,11 +12,10 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.sim.appearance.lightmap import Field, apply_light
 from dronevio.sim.appearance.solids import Face, Surface, size_m
-from dronevio.sim.appearance.textures import Image
 
-Array = npt.NDArray[np.float64]
 Triangles = npt.NDArray[np.int32]
 
 PAGE_WIDTH_PX = 4160

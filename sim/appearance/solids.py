@@ -6,12 +6,11 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.sim.appearance.instances import UNNAMED, Instance
-from dronevio.sim.appearance.textures import PIXELS_PER_M, Image
+from dronevio.sim.appearance.textures import PIXELS_PER_M
 
-Array = npt.NDArray[np.float64]
 Paint = Callable[[np.random.Generator, int, int], Image]
 """Function that draws an image of the given height and width [px]."""
 

@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-Image = npt.NDArray[np.uint8]
+from dronevio.models.arrays import Image
+
 Field = npt.NDArray[np.float32]
 Colour = tuple[float, float, float]
 

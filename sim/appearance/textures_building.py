@@ -9,8 +9,9 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from dronevio.models.arrays import Image
 from dronevio.sim.appearance import pictures
-from dronevio.sim.appearance.textures import BOOK_COLOURS, Colour, Image, grain, scaled, shade, speckle, to_image, vary
+from dronevio.sim.appearance.textures import BOOK_COLOURS, Colour, grain, scaled, shade, speckle, to_image, vary
 
 Random = np.random.Generator
 

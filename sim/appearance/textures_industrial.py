@@ -9,7 +9,8 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from dronevio.sim.appearance.textures import Colour, Field, Image, grain, scaled, shade, speckle, to_image, vary
+from dronevio.models.arrays import Image
+from dronevio.sim.appearance.textures import Colour, Field, grain, scaled, shade, speckle, to_image, vary
 from dronevio.sim.appearance.textures_nature import periodic_noise, tiled, tinted
 
 Random = np.random.Generator

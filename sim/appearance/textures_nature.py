@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.appearance.textures import Colour, Field, Image, grain, scaled, shade, to_image, vary
+from dronevio.models.arrays import Image
+from dronevio.sim.appearance.textures import Colour, Field, grain, scaled, shade, to_image, vary
 
 Random = np.random.Generator
 Indices = npt.NDArray[np.intp]

@@ -9,7 +9,8 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from dronevio.sim.appearance.textures import Colour, Image, grain, scaled, shade, to_image, vary
+from dronevio.models.arrays import Image
+from dronevio.sim.appearance.textures import Colour, grain, scaled, shade, to_image, vary
 from dronevio.sim.appearance.textures_nature import periodic_noise
 
 Random = np.random.Generator

@@ -6,7 +6,8 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from dronevio.sim.appearance.textures import Colour, Image, cardboard, grain, scaled, shade, speckle, to_image, vary
+from dronevio.models.arrays import Image
+from dronevio.sim.appearance.textures import Colour, cardboard, grain, scaled, shade, speckle, to_image, vary
 from dronevio.sim.appearance.textures_building import text
 
 Random = np.random.Generator

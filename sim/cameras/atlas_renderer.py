@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError, GraphicsError
 from dronevio.models.rotation import inverse_pose, pose_matrix, quat_wxyz_from_matrix
 from dronevio.sim.cameras.gl import (
@@ -22,7 +23,6 @@ from dronevio.sim.cameras.gl import (
 )
 from dronevio.sim.cameras.views import PinholeView, Views
 
-Array = npt.NDArray[np.float64]
 Colours = npt.NDArray[np.uint8]
 InverseDepth = npt.NDArray[np.float32]
 MoverPoses = Mapping[str, Array]

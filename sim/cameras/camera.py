@@ -16,12 +16,12 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.sim.cameras.atlas_renderer import NO_MOVERS, AtlasRenderer, MoverPoses, RenderContext
 from dronevio.sim.cameras.surfaces import Depth, Flow, Surfaces, depth_rays, optical_flow
 from dronevio.sim.cameras.views import Lookup, Views, pixel_rays
 
-Array = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
 
 SUPERSAMPLING = 1.4

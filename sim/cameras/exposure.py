@@ -5,11 +5,9 @@ from dataclasses import dataclass
 from typing import Annotated, Protocol, Self
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.ranges import Range, Settings, require
-
-Array = npt.NDArray[np.float64]
 
 WHITE = 255.0
 """Grey level at which the converter saturates."""

@@ -17,6 +17,7 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.ranges import Range, Settings
 from dronevio.sim.cameras.exposure import (
@@ -28,7 +29,6 @@ from dronevio.sim.cameras.exposure import (
     FixedExposure,
 )
 
-Array = npt.NDArray[np.float64]
 Light = npt.NDArray[np.uint8] | npt.NDArray[np.float32]
 GreyImage = npt.NDArray[np.uint8]
 

@@ -3,15 +3,13 @@
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import Times
 from dronevio.models.quaternions import slerp_quat_wxyz
 from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 
 def camera_poses(trajectory: Trajectory, camera: RigCamera) -> Callable[[Times], Array]:

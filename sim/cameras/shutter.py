@@ -21,11 +21,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.imu import Times
 from dronevio.models.rig import RigCamera
 
-Array = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
 FloatImage = npt.NDArray[np.float32]
 Light = GreyImage | FloatImage

@@ -11,11 +11,11 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.rotation import inverse_pose
 from dronevio.sim.cameras.views import pixel_rays
 
-Array = npt.NDArray[np.float64]
 Depth = npt.NDArray[np.float32]
 Flow = npt.NDArray[np.float32]
 

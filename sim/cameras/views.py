@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 
-Array = npt.NDArray[np.float64]
 Lookup = npt.NDArray[np.float32]
 
 MARGIN_PX = 4  # rendered pixels beyond the outermost ray, for interpolation at the border

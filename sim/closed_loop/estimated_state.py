@@ -8,13 +8,11 @@ unknown degrees of freedom at the first state. The true state is not used.
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.protocols import Estimator
 from dronevio.models.rotation import pose_matrix, rotation_z, yaw_rad_from_matrix
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 
 def world_from_odometry(T_world_imu: Array, T_odom_imu: Array) -> Array:

@@ -11,8 +11,8 @@ from dataclasses import fields, replace
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.progress import Progress, silent
@@ -35,8 +35,6 @@ from dronevio.sim.paths.path import Reference
 from dronevio.sim.physics.controller import SE3Controller
 from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.scenario import Scenario
-
-Array = npt.NDArray[np.float64]
 
 _REPORT_EVERY = 100  # control steps between two reports of progress
 _WINDOW_NS = 100_000_000  # length of the motion before the middle of an exposure that its images depend on

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
 from dronevio.models.rotation import pose_matrix
@@ -25,11 +26,10 @@ from dronevio.sim.envs.settings import EnvironmentSettings
 from dronevio.sim.envs.tasks import Objective, Transition
 from dronevio.sim.envs.tasks.task import distance_m
 from dronevio.sim.physics.batch_plant import BatchPlant
-from dronevio.sim.physics.vehicle_states import Mask, VehicleStates, with_rows
+from dronevio.sim.physics.vehicle_states import VehicleStates, with_rows
 from dronevio.sim.physics.wind import Winds
 from dronevio.sim.world import collision_spec, flight_area
 
-Array = npt.NDArray[np.float64]
 Observations = Any
 """Observations of n environments: a dict of arrays, nested with privileged observations, or one array if flat."""
 

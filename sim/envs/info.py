@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from dronevio.sim.physics.vehicle_states import Mask
+from dronevio.models.arrays import Mask
 
 Info = dict[str, Any]
 """Arrays with one row for each environment, or dicts of such arrays, by name."""

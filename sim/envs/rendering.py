@@ -3,13 +3,13 @@
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.sim.envs.settings import EnvironmentSettings
 from dronevio.sim.pictures.chase_camera import ChaseCamera, lease_chase_camera
 from dronevio.sim.rendering.shared import Lease
 from dronevio.sim.rendering.window import Window, has_display, require_display
 
-Array = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.uint8]
 
 RENDER_MODES = ("human", "rgb_array")

@@ -7,6 +7,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.errors import ConfigError
 from dronevio.sim.envs.core import DroneCore
 from dronevio.sim.envs.episodes.actions import action_space
@@ -15,9 +16,7 @@ from dronevio.sim.envs.rendering import DronePictures, check_render_mode
 from dronevio.sim.envs.sensing.arrangement import rows_of
 from dronevio.sim.envs.settings import settings_of
 from dronevio.sim.envs.tasks import AnyTask
-from dronevio.sim.physics.vehicle_states import Mask
 
-Array = npt.NDArray[np.float64]
 StepReturn = tuple[Any, Array, Mask, Mask, Info]
 
 RENDER_MODES = ("rgb_array",)

@@ -9,13 +9,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.utils.passive_env_checker import data_shares_objects
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, iterate
 
-Mask = npt.NDArray[np.bool_]
+from dronevio.models.arrays import Mask
+
 Vector = VectorEnv[Any, Any, Any]
 Policy = Callable[[Any], Any]
 

@@ -7,6 +7,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuModel
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import Rig
@@ -15,7 +16,6 @@ from dronevio.sim.inertial.batch_vibration import BatchHarmonics, HarmonicsState
 from dronevio.sim.inertial.bias import BiasModel
 from dronevio.sim.inertial.imu import matrix_deviations, noise_density, read_out
 
-Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
 
 _GYRO, _ACCEL = slice(0, 3), slice(3, 6)

@@ -5,11 +5,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import Rig
 from dronevio.sim.inertial.vibration import Tones
 
-Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
 
 

@@ -4,11 +4,9 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuModel, Times
-
-Array = npt.NDArray[np.float64]
 
 FLICKER_TIMES_S = np.logspace(-1.0, 4.0, 6)
 """(P,) Correlation times of the Gauss-Markov processes that approximate flicker noise [s]: one per decade, from below

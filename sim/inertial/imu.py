@@ -1,13 +1,11 @@
 """Error model of an IMU, applied to noise-free samples."""
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuConstants, ImuModel, ImuSamples
 from dronevio.sim.inertial.bias import Biases
 from dronevio.sim.inertial.vibration import RotorHarmonics
-
-Array = npt.NDArray[np.float64]
 
 
 class ImuErrors:

@@ -1,13 +1,11 @@
 """Vibration of the airframe by the rotors, as an IMU measures it."""
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import Rig
-
-Array = npt.NDArray[np.float64]
 
 
 class Tones:

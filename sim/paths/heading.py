@@ -5,12 +5,12 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import numpy.typing as npt
+
+from dronevio.models.arrays import Array
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
-Array = npt.NDArray[np.float64]
 HeadingProfile = Callable[[Array, Array, Array], Array]
 """Function from times (N,) since the start of the path [s], positions (N, 3) [m] and velocities (N, 3) [m/s] to the
 desired headings (N,) [rad]; NaN where the heading is arbitrary."""

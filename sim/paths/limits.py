@@ -6,13 +6,11 @@ from types import MappingProxyType
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import cross
-
-Array = npt.NDArray[np.float64]
 
 _RESERVE = 0.99  # fraction of a limit used in planning, since values between samples may be higher
 _GREATEST_TILT_RAD = 1.4  # 80°

@@ -8,14 +8,12 @@ by successive linear programming", 1989).
 """
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.optimize import linprog
 from scipy.sparse import coo_array
 
+from dronevio.models.arrays import Array
 from dronevio.sim.paths.limits import Limits
-
-Array = npt.NDArray[np.float64]
 
 _DEGREE = 7
 _ZERO_AT_ENDS = (1, 2, 3)  # velocity, acceleration and jerk: the orders of derivatives

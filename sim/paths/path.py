@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2, Times
 from dronevio.models.rotation import log_so3
@@ -19,8 +20,6 @@ from dronevio.sim.paths.plan import TIMED_WAYPOINTS, FlightPlan
 from dronevio.sim.paths.route import leg_clearances
 from dronevio.sim.paths.segments import PathSegment, shape_segment, straight, timed_segment
 from dronevio.sim.paths.space import FlightArea
-
-Array = npt.NDArray[np.float64]
 
 _SINK_M = 0.015  # the descent ends below the floor, so that the drone touches it
 _TOUCHDOWN_M = 0.004  # depth of the feet at which the rotors stop

@@ -1,15 +1,13 @@
 """Placement of a recorded path in a world by a rotation about the vertical and a translation."""
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import minimize
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import pose_matrix, rotation_z
 from dronevio.sim.paths.space import Space
-
-Array = npt.NDArray[np.float64]
 
 _ENOUGH_M = 0.6  # clearance beyond this has no value
 _SPACING_M = 0.1  # between the evaluated points of the path

@@ -15,12 +15,12 @@ import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.sim.paths.limits import Limits
 from dronevio.sim.paths.minimum_snap import minimum_snap, minimum_time_knots
 from dronevio.sim.paths.space import Space
 
-Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
 _SPACING_M = 0.05  # between the points at which clearance is evaluated

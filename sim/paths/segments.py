@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline
 
+from dronevio.models.arrays import Array
 from dronevio.sim.paths.heading import HeadingProfile, across, along, fixed, heading_curve, mirrored, toward
 from dronevio.sim.paths.limits import Limits
 from dronevio.sim.paths.minimum_snap import minimum_snap, minimum_time_knots
@@ -14,8 +15,6 @@ from dronevio.sim.paths.route import collision_free_curve, collision_free_polyli
 from dronevio.sim.paths.shapes import SHAPES, Arena, Course
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.paths.timed_tour import timed_knots
-
-Array = npt.NDArray[np.float64]
 
 _APART_M = 0.25  # waypoints closer than this to the previous one are omitted
 _RETREATS = 6  # number of halvings of random displacements without clearance

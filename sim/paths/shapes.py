@@ -5,14 +5,12 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.sim.paths.heading import HeadingProfile, across, along, fixed, spinning
 from dronevio.sim.paths.limits import Limits
 from dronevio.sim.paths.space import FlightArea
-
-Array = npt.NDArray[np.float64]
 
 _FILL = 0.88  # fraction of the free space that waypoints use; the curve between them exceeds it a little
 _HOVER_S = 10.0  # duration of a lap of the hover

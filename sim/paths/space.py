@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 _ROWS_AT_ONCE = 64  # points evaluated together, which are close to each other along a path or in a grid
 

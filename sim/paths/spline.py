@@ -10,16 +10,14 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import BSpline, make_lsq_spline
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Times
 from dronevio.models.quaternions import components, conjugate, product
 from dronevio.models.rotation import log_so3, matrix_from_quat_wxyz
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 KNOT_INTERVAL_S = 0.05
 """Time between knots [s]: the spline follows motion up to about 8 Hz, beyond the dynamics of a drone's body, and

@@ -1,11 +1,9 @@
 """Tours through relative waypoints in a given duration, without limits."""
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.sim.paths.minimum_snap import minimum_snap
-
-Array = npt.NDArray[np.float64]
 
 _CHECK_STEP_S = 0.01  # interval of the comparison with the free space
 

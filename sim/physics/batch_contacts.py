@@ -5,9 +5,8 @@ import numpy as np
 import numpy.typing as npt
 from mujoco.batch import Batch
 
+from dronevio.models.arrays import Array
 from dronevio.sim.physics.collisions import COLLISION_GROUP, FEET, stands
-
-Array = npt.NDArray[np.float64]
 
 _SLOTS = 4  # contacts of one geom that are examined
 _FOUND_AND_NORMAL = sum(

@@ -9,11 +9,9 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2
-
-Array = npt.NDArray[np.float64]
 
 POSITION, QUATERNION, VELOCITY, RATE = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
 """Rows of a block of motion."""

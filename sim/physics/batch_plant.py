@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import RESEARCH, Quadrotor
 from dronevio.models.rig import Rig
@@ -23,10 +24,8 @@ from dronevio.sim.physics.batch_state import PlantState, PointSamples, SavedPlan
 from dronevio.sim.physics.motion import extrapolated_back
 from dronevio.sim.physics.rotors import Airflow, Rotors
 from dronevio.sim.physics.vehicle import LONGEST_STEP_S, imu_interval_ns, physics_spec, standing_pose
-from dronevio.sim.physics.vehicle_states import Mask, Rows, VehicleParameters, VehicleStates, with_rows
+from dronevio.sim.physics.vehicle_states import Rows, VehicleParameters, VehicleStates, with_rows
 from dronevio.sim.physics.wind import CALM, BatchAir, Winds
-
-Array = npt.NDArray[np.float64]
 
 _ALL = slice(None)
 

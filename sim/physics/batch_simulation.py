@@ -7,12 +7,12 @@ import numpy as np
 import numpy.typing as npt
 from mujoco.batch import Batch
 
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.sim.physics.batch_contacts import BatchContacts
 from dronevio.sim.physics.motion import middle_of_interval
-from dronevio.sim.physics.vehicle_states import Mask, Rows, VehicleParameters, VehicleStates
+from dronevio.sim.physics.vehicle_states import Rows, VehicleParameters, VehicleStates
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
 FASTEST = 1e4

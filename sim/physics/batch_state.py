@@ -5,11 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Mask
 from dronevio.sim.physics.rotors import RotorState
-from dronevio.sim.physics.vehicle_states import Mask, Table, VehicleParameters, with_rows
+from dronevio.sim.physics.vehicle_states import Table, VehicleParameters, with_rows
 from dronevio.sim.physics.wind import AirState
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,8 @@ from math import cos, exp, sin
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.quadrotor import AIR_DENSITY_KG_M3, Quadrotor
 from dronevio.models.rotation import cross
@@ -18,8 +18,6 @@ from dronevio.sim.physics.disturbance import DisturbanceObserver, ObserverState
 from dronevio.sim.physics.drive import IDLE_SHARE, DriveState, Mixer, RotorDrive
 from dronevio.sim.physics.gains import Gains
 from dronevio.sim.physics.rotors import ground_effect
-
-Array = npt.NDArray[np.float64]
 
 _GRAVITY = np.array([0.0, 0.0, GRAVITY_M_S2])
 _ZERO = np.zeros(3)

@@ -8,8 +8,8 @@ compensated. The stages are those of `Cascade`.
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import RESEARCH, Quadrotor
 from dronevio.models.rotation import cross, inverse_pose
@@ -17,8 +17,6 @@ from dronevio.models.state import NavState
 from dronevio.sim.paths.path import Reference
 from dronevio.sim.physics.cascade import Body, Cascade, Loads, attitude_along
 from dronevio.sim.physics.gains import Gains
-
-Array = npt.NDArray[np.float64]
 
 _CLEAR_OF_GROUND_M = 0.05  # height above the start from which no foot carries weight
 

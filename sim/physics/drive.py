@@ -7,11 +7,9 @@ from math import exp
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.quadrotor import Quadrotor
-
-Array = npt.NDArray[np.float64]
 
 IDLE_SHARE = 0.1
 """Smallest speed of a rotor in flight relative to the largest; rotors never stop in the air."""

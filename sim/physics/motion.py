@@ -13,13 +13,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import make_interp_spline
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.rotation import exp_so3, log_so3, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
 from dronevio.sim.physics.batch_motion import specific_forces
-
-Array = npt.NDArray[np.float64]
 
 
 def middle_of_interval(before: Array, after: Array, steps: int) -> Array:

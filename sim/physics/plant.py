@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
 from dronevio.models.quadrotor import RESEARCH, Quadrotor
 from dronevio.models.rig import Rig
@@ -17,8 +18,6 @@ from dronevio.sim.physics.rotors import ALL_POWERED, Airflow, MotorFailure, Roto
 from dronevio.sim.physics.simulation import MotionRecord, Simulation
 from dronevio.sim.physics.vehicle import LONGEST_STEP_S, imu_interval_ns, physics_model, standing_pose
 from dronevio.sim.physics.wind import CALM, Air, Wind
-
-Array = npt.NDArray[np.float64]
 
 _VEHICLE = np.eye(4)
 

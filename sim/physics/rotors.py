@@ -12,12 +12,11 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.quadrotor import AIR_DENSITY_KG_M3, Quadrotor
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import skew
 from dronevio.sim.physics.vehicle_states import Table, VehicleParameters
-
-Array = npt.NDArray[np.float64]
 
 ALL_POWERED = np.ones(4, dtype=bool)
 """(4,) Mask of four rotors with power."""

@@ -2,13 +2,11 @@
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.sim.physics.collisions import CollisionDetector
 from dronevio.sim.physics.motion import Motion, extrapolated_back, middle_of_interval
-
-Array = npt.NDArray[np.float64]
 
 
 class Simulation:

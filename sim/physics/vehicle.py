@@ -2,16 +2,14 @@
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.quadrotor import ROTOR_NAMES, Quadrotor
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.sim.physics.collisions import COLLISION_GROUP, add_collision_geoms, add_floor
-
-Array = npt.NDArray[np.float64]
 
 LONGEST_STEP_S = 1e-3
 """Longest time step of the physics [s]; the step divides the IMU interval."""

@@ -6,11 +6,10 @@ from typing import Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Rows = slice | npt.NDArray[np.intp]
 """Selection of rows: all of them as ``slice(None)``, or an array of indices."""
 

@@ -12,12 +12,11 @@ from typing import Annotated, Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.physics.vehicle_states import Rows, Table
-
-Array = npt.NDArray[np.float64]
 
 _FOOT_M = 0.3048
 _LOW_FT, _HIGH_FT = 10.0, 1000.0  # validity of the standard's low-altitude model

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import GraphicsError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import Rig
@@ -12,8 +13,6 @@ from dronevio.sim.cameras.gl import Context, create_context, free, is_usable, ma
 from dronevio.sim.physics.vehicle import quadrotor_spec
 from dronevio.sim.rendering.shared import Lease, SharedPool
 from dronevio.sim.world import World, build_world
-
-Array = npt.NDArray[np.float64]
 
 _DISTANCE_ARMS, _AZIMUTH_DEG, _ELEVATION_DEG = 8.5, 60.0, -20.0
 _MARKERS_MAX = 16

@@ -5,17 +5,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
 from dronevio.models.rotation import exp_so3, rotation_z
-from dronevio.sim.appearance.textures import Image, to_image
+from dronevio.sim.appearance.textures import to_image
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.pictures.texturedness import poses_along
 from dronevio.sim.world import WORLDS, World
-
-Array = npt.NDArray[np.float64]
 
 LENS = CameraModel(width=480, height=300, fx=250.0, fy=250.0, cx=239.5, cy=149.5)
 """Camera of the pictures: 88° wide, without distortion."""

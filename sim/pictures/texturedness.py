@@ -6,14 +6,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import EUROC_CAM0
 from dronevio.models.rotation import exp_so3, pose_matrix, rotation_z
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.world import World
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 
 GOOD_CORNERS = 150
 """Required number of good corners in a frame of a normal world."""

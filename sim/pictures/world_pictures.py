@@ -14,10 +14,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from dronevio.models.arrays import Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.progress import Progress, silent
-from dronevio.sim.appearance.textures import Image
 from dronevio.sim.pictures.contact_sheet import taken_views
 from dronevio.sim.rendering import world_files
 from dronevio.sim.rendering.worker_pool import default_workers, run_tasks

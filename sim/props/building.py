@@ -6,17 +6,16 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures, textures_building
 from dronevio.sim.appearance.instances import Instance, single_instance
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Face, Paint, enclosure
-from dronevio.sim.appearance.textures import Image, plain
+from dronevio.sim.appearance.textures import plain
 from dronevio.sim.props.furniture import METAL, Piece, hung_picture
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 _DOWN = np.array([0.0, 0.0, -1.0])

@@ -5,8 +5,8 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures
 from dronevio.sim.appearance import textures_race as race
@@ -14,7 +14,6 @@ from dronevio.sim.appearance.instances import Instance
 from dronevio.sim.appearance.solids import Box, Face, parts_of
 from dronevio.sim.appearance.textures import Colour
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 STEEL: Colour = (150, 152, 156)

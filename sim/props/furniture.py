@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures, textures
 from dronevio.sim.appearance.instances import Instance, single_instance
@@ -17,7 +17,6 @@ from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Paint, parts_of
 from dronevio.sim.appearance.textures import Colour
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 WOODS: tuple[Colour, ...] = ((150, 104, 66), (112, 74, 46), (186, 146, 100), (92, 66, 52), (168, 120, 72))

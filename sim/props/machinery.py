@@ -9,8 +9,8 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures
 from dronevio.sim.appearance import textures_industrial as works
@@ -19,7 +19,6 @@ from dronevio.sim.appearance.prisms import UNPAINTED, lateral_surface, prism_box
 from dronevio.sim.appearance.solids import Box, Paint, Sheet, parts_of
 from dronevio.sim.appearance.textures import Colour, scaled, vary
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 MACHINE_COLOURS: tuple[Colour, ...] = ((92, 128, 108), (88, 116, 142), (170, 150, 92), (136, 140, 138), (156, 96, 74))

@@ -4,17 +4,16 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Image
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures, textures
 from dronevio.sim.appearance.instances import Instance, single_instance
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Face, Paint, enclosure, parts_of
-from dronevio.sim.appearance.textures import PIXELS_PER_M, Colour, Image, Pattern
+from dronevio.sim.appearance.textures import PIXELS_PER_M, Colour, Pattern
 from dronevio.sim.props.furniture import FURNITURE, METAL, WOODS, Piece, hung_picture, pick, room_door, window
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 SIZE_M = np.array([8.0, 6.0, 3.5])

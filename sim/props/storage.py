@@ -5,15 +5,14 @@ from functools import partial
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.sim.appearance import textures, textures_storage
 from dronevio.sim.appearance.instances import Instance, single_instance
 from dronevio.sim.appearance.solids import Box, Face, Paint, parts_of
-from dronevio.sim.appearance.textures import Colour, Image, to_image
+from dronevio.sim.appearance.textures import Colour, to_image
 from dronevio.sim.props.furniture import METAL, Piece, block
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 PALLET_M = np.array([1.05, 1.0, 0.14])

@@ -5,15 +5,14 @@ from functools import partial
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.rotation import pose_matrix, rotation_z
 from dronevio.sim.appearance import pictures, textures, textures_storage
 from dronevio.sim.appearance.solids import Box
-from dronevio.sim.appearance.textures import Colour, Image
+from dronevio.sim.appearance.textures import Colour
 from dronevio.sim.props.furniture import METAL, block, pick
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 _SKINS: tuple[Colour, ...] = ((222, 178, 148), (188, 138, 104), (134, 92, 66), (236, 200, 172))

@@ -7,8 +7,8 @@ eight sides.
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures
 from dronevio.sim.appearance import textures_nature as nature
@@ -17,9 +17,8 @@ from dronevio.sim.appearance.instances import Instance, single_instance
 from dronevio.sim.appearance.lightmap import Field
 from dronevio.sim.appearance.prisms import UNPAINTED, lateral_surface, prism_boxes
 from dronevio.sim.appearance.solids import Box
-from dronevio.sim.appearance.textures import Colour, Image, scaled
+from dronevio.sim.appearance.textures import Colour, scaled
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 BARKS = 4

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import RigCamera
 from dronevio.sim.cameras.atlas_renderer import MoverPoses, RenderContext
@@ -17,7 +18,6 @@ from dronevio.sim.cameras.shutter import Poses, Shutter
 from dronevio.sim.rendering.scene import Scene
 from dronevio.sim.streams import generator
 
-Array = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
 
 _THUMBNAIL_PX = 8  # image pixels per pixel of a thumbnail along each axis

@@ -8,7 +8,6 @@ of a recording to the byte.
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.recordings.frame_truth import FrameTruth
@@ -24,8 +23,6 @@ from dronevio.sim.rendering.loaded_world import LoadedWorld, WorldKey, lease_wor
 from dronevio.sim.rendering.render_job import require_cameras
 from dronevio.sim.rendering.scene import Scene
 from dronevio.sim.rendering.shared import Lease
-
-Array = npt.NDArray[np.float64]
 
 DESIGN_RATE_RAD_S = 3.0
 """Design angular velocity of the rig [rad/s]: the peak of difficult flights; races reach twice as much."""

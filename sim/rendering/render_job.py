@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
 from dronevio.models.rig import Rig
@@ -14,8 +14,6 @@ from dronevio.sim.cameras.interpolation import camera_poses
 from dronevio.sim.cameras.schedule import FrameSchedule
 from dronevio.sim.cameras.shutter import Poses, margin_px, turn_in_pixels
 from dronevio.sim.rendering.truth_images import TruthImage
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,16 +5,14 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import Times
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
 from dronevio.sim.cameras.atlas_renderer import MoverPoses
 from dronevio.sim.cameras.interpolation import interpolated_poses
 from dronevio.sim.world import Mover
-
-Array = npt.NDArray[np.float64]
 
 _NEAREST_M = 0.3  # smallest distance of the centre of a moving object
 

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.sim.cameras.atlas_renderer import disable_lights, set_camera
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.cameras.views import PinholeView
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

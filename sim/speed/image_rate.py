@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.performance import PerformanceFigure
 from dronevio.models.progress import Progress, silent
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 from dronevio.sim.envs.sensing.camera_observation import ImageKind, ImageSettings, RenderedObservation
 from dronevio.sim.world import WORLDS, flight_area
-
-Array = npt.NDArray[np.float64]
 
 RIG = "euroc"
 """Name of the rig whose first camera is measured."""

@@ -5,17 +5,14 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.sim.appearance.instances import Instance, unique_names
 from dronevio.sim.appearance.scenery import Page, add_instance, add_mirror, add_pages, quads_of, reduced_image
 from dronevio.sim.appearance.solids import Box, Surface, visible_faces
-from dronevio.sim.appearance.textures import Image
 from dronevio.sim.paths.space import Space
 from dronevio.sim.worlds.layout import Layout, MovingObject
-
-Array = npt.NDArray[np.float64]
 
 _COLLISION_GROUP = 3  # hidden in MuJoCo's viewers by default
 _NEAR_M, _FAR_M = 0.03, 30.0

@@ -8,8 +8,8 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures, textures_building
 from dronevio.sim.appearance.instances import Instance
@@ -29,7 +29,6 @@ from dronevio.sim.props.furniture import METAL, WOODS, Piece, block, pick, plant
 from dronevio.sim.props.furniture_public import PUBLIC_FURNITURE, bench, vending_machine
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 LOW_M, HIGH_M = np.array([-12.0, -7.0, 0.0]), np.array([12.0, 7.0, 2.9])

@@ -5,8 +5,9 @@ from functools import partial
 
 import numpy as np
 
+from dronevio.models.arrays import Image
 from dronevio.sim.appearance import pictures
-from dronevio.sim.appearance.textures import Image, to_image
+from dronevio.sim.appearance.textures import to_image
 from dronevio.sim.worlds import room
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
 

@@ -5,11 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.scenery import TexturedMesh
 from dronevio.sim.appearance.scenery import Page, reduced_image
 from dronevio.sim.worlds.layout import Mirror
-
-Array = npt.NDArray[np.float64]
 
 MAX_PIXELS = 320_000
 """Largest number of pixels of all textures of a world."""

@@ -5,21 +5,20 @@ from functools import partial
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures, textures
 from dronevio.sim.appearance import textures_nature as nature
 from dronevio.sim.appearance.cutouts import Print
 from dronevio.sim.appearance.instances import Instance
 from dronevio.sim.appearance.solids import Box, Sheet
-from dronevio.sim.appearance.textures import Colour, Image, scaled
+from dronevio.sim.appearance.textures import Colour, scaled
 from dronevio.sim.props import vegetation
 from dronevio.sim.props.vegetation import Vegetation
 from dronevio.sim.worlds import outdoors
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 _LOW, _HIGH = np.array([-14.0, -11.0, 0.0]), np.array([14.0, 11.0, 5.0])

@@ -4,8 +4,8 @@ from functools import partial
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures, textures
 from dronevio.sim.appearance import textures_nature as nature
@@ -14,14 +14,13 @@ from dronevio.sim.appearance.cutouts import Print
 from dronevio.sim.appearance.instances import Instance
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Paint, Sheet, parts_of
-from dronevio.sim.appearance.textures import Colour, Image, scaled
+from dronevio.sim.appearance.textures import Colour, scaled
 from dronevio.sim.paths.space import Gate
 from dronevio.sim.props import fairground, vegetation
 from dronevio.sim.props.vegetation import Vegetation
 from dronevio.sim.worlds import outdoors
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 _LOW, _HIGH = np.array([-22.0, -14.5, 0.0]), np.array([22.0, 14.5, 8.0])

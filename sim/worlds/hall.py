@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Image
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures
 from dronevio.sim.appearance import textures_building as building
@@ -16,13 +16,12 @@ from dronevio.sim.appearance import textures_nature as nature
 from dronevio.sim.appearance.instances import Instance
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Face, Surface, enclosure, parts_of
-from dronevio.sim.appearance.textures import Colour, Image, scaled, vary
+from dronevio.sim.appearance.textures import Colour, scaled, vary
 from dronevio.sim.props import machinery
 from dronevio.sim.props.machinery import Kit, block, pipe_run, steel
 from dronevio.sim.worlds import outdoors
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 _SIZE_M = np.array([28.0, 16.0, 9.5])

@@ -5,14 +5,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.sim.appearance.cutouts import Print
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Face, Surface
 from dronevio.sim.paths.space import Gate
 
-Array = npt.NDArray[np.float64]
 Poses = Callable[[Array], Array]
 """Function from times (M,) since the start of the flight [s] to poses (M, 4, 4) in the world."""
 Difficulty = Literal["normal", "hard"]

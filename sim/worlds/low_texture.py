@@ -3,7 +3,6 @@
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.sim.appearance import pictures, textures, textures_building
 from dronevio.sim.appearance.instances import single_instance
@@ -14,7 +13,6 @@ from dronevio.sim.props.building import Wall, ceiling_lamp, hall_faces, landing_
 from dronevio.sim.props.furniture import Piece, block
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 LOW_M, HIGH_M = np.array([-5.0, -4.0, 0.0]), np.array([5.0, 4.0, 3.6])

@@ -6,12 +6,12 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.sim.appearance import textures, textures_building
 from dronevio.sim.appearance.instances import single_instance
 from dronevio.sim.appearance.solids import Box
-from dronevio.sim.appearance.textures import Colour, Image, scaled
+from dronevio.sim.appearance.textures import Colour, scaled
 from dronevio.sim.props.building import ceiling_lamp, hall_faces, landing_mat, room_walls, shading, stand_along
 from dronevio.sim.props.furniture import (
     WOODS,
@@ -28,7 +28,6 @@ from dronevio.sim.props.furniture import (
 )
 from dronevio.sim.worlds.layout import Layout, Mirror, WorldBuilder
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 LOW_M, HIGH_M = np.array([-6.0, -4.5, 0.0]), np.array([6.0, 4.5, 4.2])

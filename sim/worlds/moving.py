@@ -4,19 +4,18 @@ from functools import partial
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Image
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures, textures_building
 from dronevio.sim.appearance.solids import Box
-from dronevio.sim.appearance.textures import Colour, Image, scaled
+from dronevio.sim.appearance.textures import Colour, scaled
 from dronevio.sim.props.building import ceiling_lamp, coarse, hall_faces, landing_mat, room_walls, shading, stand_along
 from dronevio.sim.props.furniture import METAL, Piece, pick
 from dronevio.sim.props.furniture_public import PUBLIC_FURNITURE
 from dronevio.sim.props.traffic import Lap, Swing, banner, cart, person
 from dronevio.sim.worlds.layout import Layout, MovingObject, WorldBuilder
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 LOW_M, HIGH_M = np.array([-8.0, -6.3, 0.0]), np.array([8.0, 6.3, 4.8])

@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.sim.appearance import textures_nature as nature
 from dronevio.sim.appearance.instances import Instance
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Paint, Sheet
-from dronevio.sim.appearance.textures import Colour, Image
+from dronevio.sim.appearance.textures import Colour
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 _SKY_M = 80.0  # far enough for negligible parallax

@@ -3,16 +3,15 @@
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.sim.appearance import textures_building
 from dronevio.sim.appearance.instances import Instance
 from dronevio.sim.appearance.solids import Box
-from dronevio.sim.appearance.textures import Colour, Image
+from dronevio.sim.appearance.textures import Colour
 from dronevio.sim.props.building import ceiling_lamp, hall_faces, landing_mat
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 LOW_M, HIGH_M = np.array([-8.0, -4.8, 0.0]), np.array([8.0, 4.8, 4.2])

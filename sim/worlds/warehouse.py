@@ -5,21 +5,19 @@ from functools import partial
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures, textures_building, textures_storage
 from dronevio.sim.appearance.instances import single_instance
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Surface
-from dronevio.sim.appearance.textures import Image
 from dronevio.sim.props.building import ceiling_lamp, coarse, hall_faces, landing_mat, room_walls
 from dronevio.sim.props.furniture import METAL, Piece, block
 from dronevio.sim.props.furniture_public import board, hose_cabinet, posters
 from dronevio.sim.props.storage import Stock, forklift, loaded_pallet, packing_table, rack, truss
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 LOW_M, HIGH_M = np.array([-12.0, -8.0, 0.0]), np.array([12.0, 8.0, 7.0])

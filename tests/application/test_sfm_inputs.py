@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.models.camera import CameraModel
@@ -17,8 +16,6 @@ from dronevio.models.recordings.tum import write_tum
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import Trajectory
 from dronevio.sfm_inputs import read_poses
-
-Array = npt.NDArray[np.float64]
 
 T_IMU_CAM = pose_matrix(exp_so3(np.array([0.0, 0.0, np.pi / 2])), np.array([0.1, 0.0, 0.0]))
 OFFSET_S = 0.02

@@ -20,6 +20,7 @@ from dronevio.estimator.imu.preintegration import Preintegration, Preintegration
 from dronevio.estimator.keyframe_observer import KeyframeObserver
 from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.types import Calibration, Observations
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Sampling
 from dronevio.models.protocols import measurements
@@ -27,7 +28,6 @@ from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import NO_IMAGE, CameraFrame, Estimate, NavState, Trajectory
 
-Array = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
 
 START_NS = 1_403_715_273_000_000_000

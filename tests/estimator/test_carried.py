@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.initialization.dynamic import DynamicInitializationConfig
+from dronevio.models.arrays import Array
 from dronevio.models.state import CameraFrame, Estimate, Health
 from tests.estimator.conftest import START_NS, Kinematics, Motion, SyntheticFrontEnd
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from dronevio.estimator.types import Observations
     from tests.estimator.conftest import SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 MakeFlight = Callable[..., "SyntheticFlight"]
 
 CARRIED_S, FRAMES_PER_S = 12.0, 20

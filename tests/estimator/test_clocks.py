@@ -14,6 +14,7 @@ from dronevio.estimator.monitoring.causes import Cause
 from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.types import Observations
 from dronevio.eval.metrics.alignment import align
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements
 from dronevio.models.rig import Rig
@@ -22,7 +23,6 @@ from dronevio.models.state import CameraFrame, Estimate, Health, Trajectory
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 MakeFlight = Callable[..., "SyntheticFlight"]
 IN_MOTION = -5.0
 LIVELY = {

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 import pytest
 from scipy.stats import chi2
 
@@ -30,6 +29,7 @@ from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.estimator.optimization.linalg import CholeskyFactor
 from dronevio.estimator.propagator import ImuPropagation
 from dronevio.estimator.types import GAUGE_SIGMA, NO_FEATURES, Calibration
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, log_so3, pose_matrix, rotation_z
@@ -38,7 +38,6 @@ from dronevio.models.state import CameraFrame, Estimate, Health, NavState, Traje
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 MakeFlight = Callable[..., "SyntheticFlight"]
 
 CONFIDENCE = 0.999

@@ -19,6 +19,7 @@ from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.errors import ate
 from dronevio.eval.run import EstimatorRun
+from dronevio.models.arrays import Array
 from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.rig import Rig
@@ -29,7 +30,6 @@ from dronevio.models.state import CameraFrame, Health
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight, SyntheticFrontEnd
 
-Array = npt.NDArray[np.float64]
 MakeFlight = Callable[..., "SyntheticFlight"]
 
 RATE_HZ = 20.0

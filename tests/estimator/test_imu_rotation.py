@@ -5,16 +5,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.calibration.image_rotation import RelativeRotations, tracked_rotations
 from dronevio.estimator.calibration.imu_rotation import imu_rotation
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
 from dronevio.models.recordings.gopro import imu_rotation_named
 from dronevio.models.rotation import exp_so3, log_so3
-
-Array = npt.NDArray[np.float64]
 
 
 def angle_deg(R: Array, other: Array) -> float:

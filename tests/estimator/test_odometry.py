@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.marginal_prior import MarginalPrior
@@ -16,6 +15,7 @@ from dronevio.estimator.imu.noise import ImuNoiseEstimator
 from dronevio.estimator.monitoring.causes import Cause
 from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import Estimator, measurements
@@ -25,7 +25,6 @@ from dronevio.models.state import Estimate, Health, Trajectory
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 MakeFlight = Callable[..., "SyntheticFlight"]
 EstimatedFlight = Callable[[int, float], "tuple[SyntheticFlight, list[Estimate]]"]
 

@@ -12,6 +12,7 @@ from dronevio.cli.settings.named_fields import changed
 from dronevio.cli.settings.option_tables import ESTIMATOR
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.tracker import FeatureTracker
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, pose_matrix
@@ -20,7 +21,6 @@ from dronevio.models.state import CameraFrame
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 RenderWall = Callable[[CameraModel, Array], npt.NDArray[np.uint8]]
 
 CAMERA = CameraModel(376, 240, 229.0, 228.5, 183.5, 124.0, (-0.28, 0.07, 2e-4, 2e-5))

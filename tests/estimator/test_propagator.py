@@ -1,7 +1,6 @@
 """Propagation since a keyframe: when the drone is stationary, and its predicted state then."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.config import SmootherConfig
@@ -12,11 +11,10 @@ from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.propagator import Propagator
 from dronevio.estimator.types import NO_FEATURES, Calibration, FramePacket
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel
 from dronevio.models.rig import euroc_rig
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 FRAME_NS = 50_000_000
 IMU = ImuModel()

@@ -13,6 +13,7 @@ from dronevio.estimator.initialization.gauge import MIN_ACCEL_BIAS_SIGMA_M_S2, L
 from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements
@@ -22,7 +23,6 @@ from dronevio.models.state import Estimate, Health, NavState, Trajectory
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
 MakeFlight = Callable[..., "SyntheticFlight"]
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.eval import colours
@@ -21,12 +20,12 @@ from dronevio.eval.scene import (
     upright_rotation,
     view_azimuth_deg,
 )
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, pose_matrix
 
 if TYPE_CHECKING:
     from tests.eval.conftest import SyntheticReconstruction
 
-Array = npt.NDArray[np.float64]
 LEVEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """Orientation of a camera without pitch and roll that looks along y; z is up."""
 NADIR = np.diag([1.0, -1.0, -1.0])

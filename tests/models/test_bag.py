@@ -8,7 +8,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,6 +16,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys.stores import ros2_humble as ros
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.defects import DefectKind, count_defects
 from dronevio.models.errors import ConfigError, InputError
@@ -34,8 +34,6 @@ from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix
 from dronevio.models.state import Trajectory
 
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 Make = Callable[..., Any]
 T0_NS = 1_700_000_000_123_456_789
 STEP_NS = 50_000_000

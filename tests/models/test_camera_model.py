@@ -4,18 +4,16 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.lenses import equidistant, radtan
 from dronevio.models.lenses.lens import LENSES
 from dronevio.models.rig import EUROC_CAM0, EUROC_T_IMU_CAM0, euroc_rig
-
-Array = npt.NDArray[np.float64]
 
 PINHOLE = replace(EUROC_CAM0, distortion=(0.0, 0.0, 0.0, 0.0))
 BARREL = CameraModel(640, 480, 320.0, 310.0, 322.0, 241.0, (-0.15, 0.02, 1e-3, -2e-3))

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.recordings.bag.recording import BagRecording
@@ -17,7 +17,6 @@ from dronevio.models.recordings.euroc import EurocRecording, write_euroc_recordi
 from dronevio.models.recordings.exported import EPOCH_NS, exported, increments_of_means, interval_means
 from dronevio.models.rotation import exp_so3
 
-Array = npt.NDArray[np.float64]
 Make = Callable[..., Any]
 
 

@@ -12,9 +12,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
@@ -22,8 +22,6 @@ from dronevio.models.recordings.calibration.exports import CONFIGURATIONS
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix
-
-Array = npt.NDArray[np.float64]
 
 TIMES_NS = np.array([1403715273262142976, 1403715273312142976])
 AT_REST = ImuSamples.empty()

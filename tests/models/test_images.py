@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dronevio.models.arrays import Image
 from dronevio.models.errors import InputError
 from dronevio.models.recordings.image_header import encoded_size
-from dronevio.models.recordings.images import Image, read_grey
+from dronevio.models.recordings.images import read_grey
 
 
 def noise_image() -> Image:

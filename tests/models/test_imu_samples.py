@@ -6,11 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Sampling
 from dronevio.models.rotation import exp_so3
-
-Array = npt.NDArray[np.float64]
 
 STEP_NS = 5_000_000
 

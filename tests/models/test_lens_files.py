@@ -6,7 +6,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 import yaml as independent
 from rosbags.typesys.stores import ros2_humble as ros
@@ -22,8 +21,6 @@ from dronevio.models.recordings.calibration.kalibr import camchain_yaml, imu_yam
 from dronevio.models.recordings.calibration.reading import read_calibration
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import rig_named
-
-Array = npt.NDArray[np.float64]
 
 COEFFICIENTS: dict[str, tuple[LensName, tuple[float, ...]]] = {
     "radtan": ("radtan", (-0.28, 0.07, 2e-4, 2e-5)),

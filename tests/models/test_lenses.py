@@ -4,16 +4,14 @@ from typing import Any
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.lenses import ds, eucm, fov, omni, radtan
 from dronevio.models.lenses.lens import LENSES, LensName
-
-Array = npt.NDArray[np.float64]
 
 small, tangential = st.floats(-0.3, 0.3), st.floats(-5e-3, 5e-3)
 RADTAN = (small, small, tangential, tangential)

@@ -1,12 +1,12 @@
 """Quaternion algebra against scipy and against the laws of the group."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
+from dronevio.models.arrays import Array
 from dronevio.models.quaternions import (
     angles_rad,
     components,
@@ -31,7 +31,6 @@ from dronevio.models.rotation import (
     yaw_rad_from_matrix,
 )
 
-Array = npt.NDArray[np.float64]
 seeds = st.integers(0, 2**32 - 1)
 
 

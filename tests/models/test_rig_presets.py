@@ -3,14 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.rig import EUROC_CAM0, EUROC_T_IMU_CAM0, EUROC_T_IMU_CAM1, Rig, RigCamera, euroc_rig
 from dronevio.models.rig_presets import NANO_CAMERA, RIGS, TUM_VI_CAMERA, UZH_FPV_CAMERA, rig_named
-
-Array = npt.NDArray[np.float64]
 
 FORWARD = {"euroc": 0.999, "euroc-stereo": 0.999, "rolling": 0.999}
 

@@ -1,13 +1,13 @@
 """Rotations against scipy and against the laws of the group."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import (
     adjoint,
     cross,
@@ -23,8 +23,6 @@ from dronevio.models.rotation import (
     skew,
     yaw_rad_from_matrix,
 )
-
-Array = npt.NDArray[np.float64]
 
 ANGLES_RAD = [0.0, 1e-12, 1e-8, 0.9e-7, 1.1e-7, 1e-6, 1e-4, 0.1, 1.0, 3.0, np.pi - 1e-3, np.pi - 1e-6]
 vectors = st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3).map(np.array)

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, GraphicsError
 from dronevio.models.rig import EUROC_CAM0
@@ -22,8 +23,6 @@ from dronevio.sim.cameras import views
 from dronevio.sim.cameras.camera import GreyImage, OffscreenCamera
 from dronevio.sim.cameras.surfaces import Flow, points_in_camera
 from dronevio.sim.cameras.views import Views
-
-Array = npt.NDArray[np.float64]
 
 PINHOLE = replace(EUROC_CAM0, distortion=(0.0, 0.0, 0.0, 0.0))
 T_WORLD_CAM = pose_matrix(exp_so3(np.array([0.4, -1.1, 0.7])), np.array([1.3, -0.8, 2.1]))

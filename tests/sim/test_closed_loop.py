@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.baselines.dead_reckoning import DeadReckoning
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.rig import Rig, euroc_rig
@@ -19,8 +19,6 @@ from dronevio.sim.closed_loop.settings import LoopSettings
 from dronevio.sim.flight import Flight, fly
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.scenarios import scenario_named
-
-Array = npt.NDArray[np.float64]
 
 LATENCY = LoopSettings(frame_latency_s=0.03)
 

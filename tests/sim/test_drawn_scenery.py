@@ -1,15 +1,13 @@
 """Surfaces of worlds for drawings: their size, their position, and the side from which they are visible."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.scenery import TexturedMesh
 from dronevio.sim.world import _painted, moving_scenery, scenery_of
 from dronevio.sim.worlds.drawn_scenery import MARGIN_M, MAX_CUTOUTS, MAX_PIXELS
-
-Array = npt.NDArray[np.float64]
 
 
 def corners(meshes: tuple[TexturedMesh, ...]) -> Array:

@@ -4,14 +4,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium import spaces
 
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3
 from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.sensing.held_images import ImageRenderer
 
-Array = npt.NDArray[np.float64]
 EVERY = np.ones(3, np.bool_)
 
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import dronevio.envs  # noqa: F401 registers
@@ -25,8 +24,6 @@ from dronevio.sim.envs.tasks import Hover, Race, Waypoints
 from dronevio.sim.flight import Flight
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.scenarios import scenario_named
-
-Array = npt.NDArray[np.float64]
 
 
 class NoImages:

@@ -1,18 +1,15 @@
 """Prisms: collision boxes, lateral surfaces, and their lightmaps and textures."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from dronevio.models.arrays import Image
 from dronevio.sim.appearance.cutouts import Cutouts, Print, joined
 from dronevio.sim.appearance.lightmap import AreaLight, bake
 from dronevio.sim.appearance.prisms import lateral_surface, prism_boxes
 from dronevio.sim.appearance.scenery import facing, paint_pages
 from dronevio.sim.appearance.solids import Face, Sheet, size_m
-from dronevio.sim.appearance.textures import Image
 from dronevio.sim.paths.space import Space
-
-Array = npt.NDArray[np.float64]
 
 
 def ramp(rng: np.random.Generator, height: int, width: int) -> Image:

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
+from dronevio.models.arrays import Image
 from dronevio.sim.appearance import textures_industrial as works
 from dronevio.sim.appearance import textures_nature as nature
 from dronevio.sim.appearance import textures_race as race
-from dronevio.sim.appearance.textures import Image
 from dronevio.sim.props import vegetation
 
 Draw = Callable[[np.random.Generator, int, int], Image]

@@ -5,17 +5,15 @@ import itertools
 import cv2
 import mujoco
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.errors import ConfigError
 from dronevio.sim.appearance import pictures, textures
 from dronevio.sim.appearance.lightmap import AreaLight, bake
 from dronevio.sim.appearance.solids import Box, Face
 from dronevio.sim.props.room import FREE_BOX_M, SIZE_M, Room, furnished_room
 from dronevio.sim.world import World, _painted, build_world
-
-Array = npt.NDArray[np.float64]
 
 COLOUR = (150.0, 120.0, 90.0)
 
@@ -148,7 +146,7 @@ def test_pictures_have_contrast(picture: pictures.Picture) -> None:
 
 
 def test_light_decreases_with_distance_and_is_occluded() -> None:
-    def paint(rng: np.random.Generator, height: int, width: int) -> textures.Image:
+    def paint(rng: np.random.Generator, height: int, width: int) -> Image:
         return np.zeros((height, width, 3), np.uint8)
 
     floor = Face(np.array([-2.0, 2.0, 0.0]), np.array([4.0, 0.0, 0.0]), np.array([0.0, -4.0, 0.0]), paint)
@@ -167,7 +165,7 @@ def test_light_decreases_with_distance_and_is_occluded() -> None:
 
 
 def test_ambient_light_is_occluded_in_corners() -> None:
-    def paint(rng: np.random.Generator, height: int, width: int) -> textures.Image:
+    def paint(rng: np.random.Generator, height: int, width: int) -> Image:
         return np.zeros((height, width, 3), np.uint8)
 
     floor = Face(np.array([-2.0, 2.0, 0.0]), np.array([4.0, 0.0, 0.0]), np.array([0.0, -4.0, 0.0]), paint)

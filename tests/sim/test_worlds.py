@@ -3,15 +3,14 @@
 import cv2
 import mujoco
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.rotation import pose_matrix
 from dronevio.sim.appearance import textures_building, textures_storage
 from dronevio.sim.appearance.scenery import add_mirror
 from dronevio.sim.appearance.solids import Box, Face
-from dronevio.sim.appearance.textures import Image
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.paths.space import Space
 from dronevio.sim.pictures.contact_sheet import contact_sheet, sheet_of_worlds, viewpoints, views
@@ -20,8 +19,6 @@ from dronevio.sim.props.traffic import Lap, Swing
 from dronevio.sim.world import WORLDS, build_world, flight_area
 from dronevio.sim.worlds.assembly import space_of
 from dronevio.sim.worlds.layout import ROUTE_CLEARANCE_M, Layout
-
-Array = npt.NDArray[np.float64]
 
 SMALL = CameraModel(width=120, height=76, fx=62.0, fy=62.0, cx=59.5, cy=37.5)
 INDOORS = ("corridor", "warehouse", "low-texture", "repetitive", "dark", "mirror", "moving")

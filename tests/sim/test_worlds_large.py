@@ -1,17 +1,15 @@
 """Large worlds: clear routes, collision boxes of visible objects, and gates on the route."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from dronevio.models.arrays import Array
 from dronevio.sim.appearance.cutouts import joined
 from dronevio.sim.appearance.solids import Box
 from dronevio.sim.paths.space import Space
 from dronevio.sim.worlds import forest, gates, hall
 from dronevio.sim.worlds.assembly import space_of
 from dronevio.sim.worlds.layout import ROUTE_CLEARANCE_M, Layout, WorldBuilder
-
-Array = npt.NDArray[np.float64]
 
 WORLDS = {"hall": hall.HALL, "forest": forest.FOREST, "gates": gates.GATES}
 SEEDS = range(6)

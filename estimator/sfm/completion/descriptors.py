@@ -3,13 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.sfm.features import Features
 from dronevio.estimator.sfm.model import Scene
-
-Floats = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
+from dronevio.models.arrays import Floats, Mask
 
 
 def unit_descriptors(features: Features) -> Floats:

@@ -17,10 +17,9 @@ from dronevio.estimator.sfm.config import CompletionConfig
 from dronevio.estimator.sfm.features import Features
 from dronevio.estimator.sfm.model import Scene, SfmState
 from dronevio.estimator.sfm.tracks import Tracks
+from dronevio.models.arrays import Array, Mask
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 MIN_SHARED_POINTS = 10
 """Smallest number of shared points of two images at which the points of one are looked for in the other."""
@@ -93,6 +92,7 @@ def _matches(
     config: CompletionConfig,
 ) -> Indices:
     """Return the tracks and the features (K, 2) of an image that belong together."""
+    # Points that the image should show, at a distance at which their descriptors hold
     T, camera = state.Ts_world_cam[image], state.cameras[scene.image_camera[image]]
     relative = state.points[tracks] - T[:3, 3]
     distance = np.linalg.norm(relative, axis=1)
@@ -105,6 +105,7 @@ def _matches(
     tracks, projected = tracks[kept], projected[kept]
     if len(tracks) == 0 or len(free) == 0:
         return np.empty((0, 2), np.int64)
+    # Free features near their projections, with similar descriptors
     count = min(CANDIDATES, len(free))
     distance, nearest = cKDTree(features.pixels[free]).query(
         projected, count, distance_upper_bound=config.guided_error_px

@@ -17,8 +17,8 @@ from dronevio.estimator.sfm.config import CompletionConfig
 from dronevio.estimator.sfm.features import Features
 from dronevio.estimator.sfm.model import Scene, SfmState
 from dronevio.estimator.sfm.tracks import Tracks
+from dronevio.models.arrays import Array
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 NEIGHBOURS = 4

@@ -3,11 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.sfm.model import SfmState
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 
 def similarity(Ts_from: Array, Ts_to: Array) -> tuple[float, Array, Array]:

@@ -17,11 +17,11 @@ from scipy.optimize import least_squares
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
 from dronevio.estimator.sfm.bearings import tangent_bases
 from dronevio.estimator.sfm.config import InertialConfig
+from dronevio.models.arrays import Array
 from dronevio.models.image_sets import InertialData
 from dronevio.models.imu import GRAVITY_M_S2, Times
 from dronevio.models.rotation import integrated_rotations, log_so3
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 MIN_INTERVALS = 4

@@ -90,6 +90,7 @@ def _level(state: SfmState, images: ImageSet, config: InertialConfig, world: Wor
         if config.use == "required":
             raise ConfigError("images without measurements of an IMU, which is required; expected a recording with one")
         return state, world
+    # Gravity and scale by the IMU
     index = _one_per_frame(state, images)
     Ts_imu_cam = images.Ts_imu_cam[images.image_camera[index]]
     alignment = align_with_imu(
@@ -100,6 +101,7 @@ def _level(state: SfmState, images: ImageSet, config: InertialConfig, world: Wor
         raise ConfigError(f"the IMU does not determine gravity and scale: {note}")
     if isinstance(alignment, str) or np.degrees(alignment.tilt_sigma_rad) > config.max_tilt_sigma_deg:
         return state, replace(world, note=note)
+    # Frame of the first image: levelled, with yaw zero, at the IMU
     R_world_imu = state.Ts_world_cam[index[0], :3, :3] @ Ts_imu_cam[0, :3, :3].T
     R = level_rotation(-alignment.gravity)
     R = rotation_z(-yaw_rad_from_matrix(R @ R_world_imu)) @ R

@@ -1,7 +1,7 @@
 """Bundle adjustment of a map during the flight, in a process of its own or in that of the map.
 
-It takes many times longer than the interval between two keyframes, so that its result takes effect a number of
-keyframes later, which depends on numbers of keyframes alone (`schedule`).
+It takes many times the interval between two keyframes. Its result takes effect a number of keyframes later, which
+depends on numbers of keyframes alone (`schedule`).
 """
 
 import os
@@ -14,15 +14,10 @@ from dataclasses import dataclass
 from multiprocessing import connection, get_context, parent_process
 from typing import Protocol
 
-import numpy as np
-import numpy.typing as npt
-
 from dronevio.estimator.slam.adjustment.agreement import differences
 from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentConfig, AdjustmentInputs, Scale, adjust
 from dronevio.estimator.slam.adjustment.odometry_scale import with_scale_of_odometry
-
-Array = npt.NDArray[np.float64]
-
+from dronevio.models.arrays import Array
 
 MAX_NOISE_RATIO = 1.4
 """Ratio of the accelerometer's estimated noise to its data sheet up to which the IMU may determine the scale. It is
@@ -36,7 +31,7 @@ class AdjustmentOutcome:
     poses: Mapping[int, Array] | None
     """Adjusted poses (4, 4) by the numbers of the keyframes; None if the adjusted map is not used."""
     text: str
-    """What has determined the scale, or why the adjusted map is not used."""
+    """Source of the scale, or the reason why the adjusted map is not used."""
 
 
 class Adjuster(Protocol):

@@ -10,13 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustedMap, AdjustmentInputs, AdjustmentKeyframe
 from dronevio.estimator.slam.map.odometry_factors import RelativePose
 from dronevio.models.rotation import inverse_pose, log_so3
-
-Array = npt.NDArray[np.float64]
 
 MAX_SIGMAS = 3.0
 """Largest difference that agrees, in standard deviations."""
@@ -29,7 +26,7 @@ GYRO_BIAS_SIGMA_RAD_S, ACCEL_BIAS_SIGMA_M_S2 = 0.002, 0.02
 MIN_LENGTH_M = 5.0
 """Shortest path on which scales are compared [m]."""
 MIN_DISTANCE_M = 1.0
-"""Distance from the first keyframe from which on a keyframe tells how well the odometry knows its scale [m]."""
+"""Smallest distance from the first keyframe at which a keyframe bounds the error of scale of the odometry [m]."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +42,7 @@ class Difference:
     sigma: float
     """Joint standard deviation of the difference."""
     other: str = "that of the odometry"
-    """With what the quantity is compared."""
+    """Reference of the comparison."""
 
     @property
     def agrees(self) -> bool:

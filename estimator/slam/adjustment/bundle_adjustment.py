@@ -11,17 +11,17 @@ Fuller, "Measurement Error Models", 1987, section 1.1). `Scale.ODOMETRY` is for 
 an IMU factor spans a second, over which such errors matter little, and the relative poses of the odometry hold the
 scale that its windows have found.
 
-A loop enters it by the landmarks of the earlier visit that the later keyframe sees. Its relative pose would not do with
-one camera: its position is as wrong as the scale of the landmarks then, and since the residual is in metres, a smaller
-map would have smaller residuals.
+A loop enters it by the landmarks of the earlier visit that the later keyframe sees. With one camera, its relative pose
+cannot replace them: the scale of its position has the error of the landmarks at that time, and since the residual is in
+metres, a smaller map would have smaller residuals.
 
 The keyframes of a loaded map have no measurements of their flights but the corners of their images. Those of landmarks
 that the new flight sees again are observations, too, and the saved pose graph holds the keyframes, so that the scale is
 that of the loaded map.
 
-With several cameras, the orientation of the others relative to the first one is estimated, too. Stereo matches have an
-error of a hundredth of a pixel in common, by which a map of landmarks with disparities of ten pixels is a tenth of a
-percent too small. A rotation of the second camera explains it, and the scale then follows from near landmarks.
+With several cameras, the orientation of the others relative to the first one is estimated, too. Stereo matches share an
+error of a hundredth of a pixel: at disparities of ten pixels, the map is too small by a tenth of a percent. A rotation
+of the second camera explains it, and the scale then follows from near landmarks.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -33,7 +33,6 @@ from typing import Annotated
 import gtsam
 import gtsam_unstable
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import B, E, L, V, X
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
@@ -44,14 +43,12 @@ from dronevio.estimator.imu.preintegration import Preintegration, Preintegration
 from dronevio.estimator.slam.map.odometry_factors import RelativePose
 from dronevio.estimator.slam.map.pose_graph import PoseGraph, factor_graph
 from dronevio.estimator.types import Calibration
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.ranges import Range, Settings
 
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
-
 LONG_INTERVAL_S = 1.0
-"""Least interval of an IMU factor where the odometry determines the scale [s]; shorter at the end of a track."""
+"""Shortest interval of an IMU factor where the odometry determines the scale [s]; shorter at the end of a track."""
 ODOMETRY_VARIANCE = 10.0
 """Factor on the covariances of the relative poses by the odometry, which has used the IMU measurements, too."""
 RIG_TRANSLATION_SIGMA_M = 1e-5
@@ -60,7 +57,7 @@ determines the scale."""
 
 
 class Scale(StrEnum):
-    """What determines the scale of a map with one camera."""
+    """Source of the scale of a map with one camera."""
 
     IMU = "IMU"
     """All IMU measurements of the flight together."""
@@ -168,7 +165,7 @@ class AdjustedMap:
     accel_bias_m_s2: Array
     """(3,) Accelerometer bias at the newest keyframe [m/s²]."""
     scale: Scale
-    """What has determined the scale."""
+    """Source of the scale."""
 
 
 def adjust(inputs: AdjustmentInputs, config: AdjustmentConfig, scale: Scale = Scale.IMU) -> AdjustedMap:
@@ -179,8 +176,10 @@ def adjust(inputs: AdjustmentInputs, config: AdjustmentConfig, scale: Scale = Sc
         config: Settings.
         scale: What determines the scale.
     """
+    # Landmarks by the initial poses
     keyframes, relative = inputs.keyframes, [loop for loop in inputs.loops if not len(loop.observations)]
     table, points = triangulated(map_observations(inputs, config), inputs, config)
+    # Poses, with the prior of the first keyframe and the graph of a loaded map
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for keyframe in keyframes:
         values.insert(X(keyframe.number), pose3=gtsam.Pose3(keyframe.T_map_imu))
@@ -189,12 +188,15 @@ def adjust(inputs: AdjustmentInputs, config: AdjustmentConfig, scale: Scale = Sc
             graph.add(gtsam.PriorFactorPose3(X(keyframe.number), gtsam.Pose3(keyframe.T_map_imu), noise))
     if inputs.saved is not None:
         _add_saved(graph, values, inputs.saved.graph, {*table.keyframe.tolist(), *(each.first for each in relative)})
+    # IMU factors, and where the odometry determines the scale its relative poses
     intervals = list(_imu_intervals(keyframes, LONG_INTERVAL_S if scale is Scale.ODOMETRY else 0.0))
     _add_imu(graph, values, inputs, intervals)
     if scale is Scale.ODOMETRY:
         _add_relative_poses(graph, _odometry(keyframes), ODOMETRY_VARIANCE)
+    # Loops without observations, and reprojections
     _add_relative_poses(graph, relative)
     _add_landmarks(graph, values, inputs, config, table, points)
+    # Levenberg-Marquardt
     params = gtsam.LevenbergMarquardtParams()
     params.setMaxIterations(config.iterations)
     params.setRelativeErrorTol(config.tolerance)

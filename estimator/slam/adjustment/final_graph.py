@@ -1,9 +1,9 @@
 """The pose graph of a final map for other programs: odometry and loops as the final map measures them.
 
 During a flight, edges of the odometry and loops are measurements of different times: the odometry when a keyframe left
-the window, a loop in landmarks as they were known then, with the scale of then. Bundle adjustment explains all images
-and IMU samples anew, so that its poses fit neither. Here, both are measured again in the adjusted map: the odometry at
-the final poses, with the covariances that it stated, and a loop by its own observations of the final landmarks.
+the window, a loop by the landmarks and the scale estimated at that time. Bundle adjustment uses all images and IMU
+samples anew, and its poses agree with neither. Here, both are measured again in the adjusted map: the odometry at the
+final poses, with the covariances that it stated, and a loop by its own observations of the final landmarks.
 """
 
 from collections.abc import Mapping
@@ -22,9 +22,8 @@ from dronevio.estimator.slam.map.odometry_factors import RelativePose
 from dronevio.estimator.slam.map.pose_graph import ADJUSTED_VARIANCE, PoseGraph, optimize
 from dronevio.estimator.slam.places.matching import Correspondences
 from dronevio.estimator.slam.places.relative_pose import RelativePoseConfig, Views, refine
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import inverse_pose
-
-Array = npt.NDArray[np.float64]
 
 MIN_OBSERVATIONS = 6
 """Smallest number of observations of final landmarks by which a loop is measured again."""

@@ -1,10 +1,9 @@
-"""What the odometry has measured at the keyframes of a map, for the bundle adjustment of the map."""
+"""Measurements of the odometry at the keyframes of a map, for bundle adjustment."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.backend.observations import ObservationTable, observation_table
@@ -15,19 +14,18 @@ from dronevio.estimator.slam.map.keyframe import MapKeyframe
 from dronevio.estimator.slam.map.odometry_factors import RelativePose
 from dronevio.estimator.slam.map.pose_graph import PoseGraph
 from dronevio.estimator.types import Calibration, Observations
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuModel, ImuSamples, Times
 from dronevio.models.state import NavState
 
-Array = npt.NDArray[np.float64]
-
 ADJUSTED_MATCH_SIGMA_SCALE = 0.3
-"""Standard deviation of a stereo match relative to that of its track in bundle adjustment, where the matches have to
-keep the scale against the errors that the observations of one track have in common."""
+"""Standard deviation of a stereo match relative to that of its track in bundle adjustment, where the matches keep the
+scale in spite of errors shared by the observations of a track."""
 
 
 @dataclass(frozen=True, eq=False)
 class KeyframeMeasurements:
-    """What the odometry has measured at a keyframe, and since the one before."""
+    """Measurements of the odometry at a keyframe and since the previous one."""
 
     state: NavState
     """The causal estimate in the odometry frame."""
@@ -36,9 +34,9 @@ class KeyframeMeasurements:
     calibration: Calibration
     """The calibration that was in use."""
     imu: ImuSamples
-    """The IMU samples since those of the keyframe before, up to the keyframe or later."""
+    """IMU samples since those of the previous keyframe, up to this keyframe or later."""
     imu_noise: PreintegrationParams
-    """The noise of the IMU as it was known."""
+    """Estimate of the IMU noise at that time."""
     stamp_ns: int
     """Time stamp of the frame by the clock of the cameras [ns]."""
 
@@ -57,7 +55,7 @@ class FlightMeasurements:
         self._estimates: dict[int, KeyframeEstimate] = {}
 
     def add(self, estimate: KeyframeEstimate, measured: KeyframeMeasurements) -> None:
-        """Add what was measured at a keyframe.
+        """Add the measurements of a keyframe.
 
         Args:
             estimate: The final estimate of the keyframe by the odometry.

@@ -9,15 +9,13 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentInputs, AdjustmentKeyframe
 from dronevio.estimator.slam.map.map_frame import frame_change
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 MIN_SIZE_M = 1.0
-"""RMS distance of the keyframes of a track from their middle from which on they tell the scale [m]."""
+"""Smallest RMS distance of the keyframes of a track from their mean position at which they determine the scale [m]."""
 
 
 def with_scale_of_odometry(inputs: AdjustmentInputs, poses: Mapping[int, Array]) -> Mapping[int, Array]:

@@ -18,12 +18,10 @@ from dronevio.estimator.slam.adjustment.bundle_adjustment import (
     triangulated,
 )
 from dronevio.estimator.types import Calibration
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.camera import CameraModel
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.reconstructions.recorded import RecordedReconstruction, image_name
-
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 MAX_ERROR_PX = 2.0
 """Largest reprojection error of an observation [px]: five standard deviations of an aligned patch."""

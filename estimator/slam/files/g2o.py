@@ -11,14 +11,12 @@ pose and of the relative poses.
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.slam.map.odometry_factors import RelativePose
 from dronevio.estimator.slam.map.pose_graph import PoseGraph
+from dronevio.models.arrays import Array
 from dronevio.models.recordings.files import write_text
 from dronevio.models.rotation import quat_wxyz_from_matrix
-
-Array = npt.NDArray[np.float64]
 
 
 def write_g2o(path: Path, graph: PoseGraph) -> None:

@@ -1,8 +1,8 @@
-"""A map that can be kept: all keyframes in arrays, and the pose graph that holds them together.
+"""A map that can be saved: all keyframes as arrays, and their pose graph.
 
-The poses are those of the final map. The factors of the pose graph measure these poses, with the covariances that they
-have had, so that the saved poses are the optimum of the saved graph; rejected loops are left out. All former tracks and
-flights become one track, whose odometry frame is the map frame.
+The poses are those of the final map. The factors of the pose graph measure these poses, with their covariances, so that
+the saved poses are the optimum of the saved graph; rejected loops are left out. All former tracks and flights become
+one track, whose odometry frame is the map frame.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,12 +17,11 @@ from dronevio.estimator.slam.map.keyframe import KeyframeFeatures, MapKeyframe
 from dronevio.estimator.slam.map.odometry_factors import GravityDirection, RelativePose
 from dronevio.estimator.slam.map.pose_graph import PoseGraph
 from dronevio.estimator.slam.places.localization import LandmarkPatches
+from dronevio.models.arrays import Array, Floats
 from dronevio.models.errors import ConfigError
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import inverse_pose
 
-Array = npt.NDArray[np.float64]
-Floats = npt.NDArray[np.float32]
 Bytes = npt.NDArray[np.uint8]
 Rows = npt.NDArray[np.int32]
 Times = npt.NDArray[np.int64]
@@ -41,7 +40,7 @@ _GRID = 7  # pixels along each side of an image at which calibrations are compar
 
 @dataclass(frozen=True, eq=False)
 class KnownMap:
-    """A saved map, ready to be continued by a flight."""
+    """A saved map in the form that a flight continues."""
 
     keyframes: tuple[MapKeyframe, ...]
     """The keyframes, all of track 0, numbered by their rows."""
@@ -143,7 +142,7 @@ class SavedMap:
                 )
 
     def known(self, *, is_fixed: bool = False) -> KnownMap:
-        """Return the map, ready to be continued by a flight.
+        """Return the map in the form that a flight continues.
 
         Args:
             is_fixed: Whether the poses of the map stay as they are. Its factors are then left out.
@@ -183,7 +182,7 @@ class SavedMap:
         )
 
     def _fixed_graph(self) -> PoseGraph:
-        """Return a graph whose poses stay as they are."""
+        """Return a graph with fixed poses."""
         poses = dict(enumerate(self.Ts_map_imu))
         return PoseGraph(self.first, self.first_covariance, poses, fixed=tuple(poses))
 
@@ -217,7 +216,7 @@ def saved_map(
     keyframes: Sequence[MapKeyframe],
     patches: Mapping[int, LandmarkPatches],
 ) -> SavedMap:
-    """Return a map as arrays that can be kept.
+    """Return a map as arrays that can be saved.
 
     Args:
         cameras: Calibration of the cameras.
@@ -226,7 +225,7 @@ def saved_map(
         patches: Small images around landmarks, by the numbers of their keyframes.
 
     Raises:
-        ConfigError: The map is too small to be kept.
+        ConfigError: The map has too few keyframes to be saved.
     """
     row = {keyframe.number: i for i, keyframe in enumerate(keyframes)}
     corners = [keyframe.features for keyframe in keyframes]

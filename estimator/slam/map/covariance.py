@@ -1,17 +1,17 @@
 """Covariances of keyframes in the map by the best path to each of them, through odometry and loops.
 
-The errors of an odometry are correlated over minutes, as by an error of scale. A pose graph takes its factors as
-independent, and lets loops remove errors that they do not: in a corridor that was flown twice, its marginal covariances
-are too small by a factor of 100. Where correlations are not known, each single path through the graph is consistent,
-which is covariance intersection with a weight of one (Julier and Uhlmann, "A non-divergent estimation algorithm in the
-presence of unknown correlations", ACC 1997). The path with the smallest variance of the position counts.
+The errors of an odometry are correlated over minutes, for example by an error of scale. A pose graph assumes
+independent factors, so that loops seem to remove errors that they do not: in a corridor that was flown twice, its
+marginal covariances are too small by a factor of 100. Where correlations are not known, each single path through the
+graph is consistent, which is covariance intersection with a weight of one (Julier and Uhlmann, "A non-divergent
+estimation algorithm in the presence of unknown correlations", ACC 1997). The path with the smallest position variance
+is used.
 """
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.slam.map.odometry_factors import (
     AbsolutePosition,
@@ -26,11 +26,10 @@ from dronevio.estimator.slam.map.pose_graph import (
     FREE_ROTATION_SIGMA_RAD,
     PoseGraph,
 )
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 UNKNOWN = np.diag(np.repeat([FREE_ROTATION_SIGMA_RAD**2, FREE_POSITION_SIGMA_M**2], 3))
-"""(6, 6) Covariance of a pose of which nothing is known."""
+"""(6, 6) Covariance of an unknown pose."""
 
 
 def covariances_with_loops(
@@ -44,6 +43,7 @@ def covariances_with_loops(
             that nothing connects with the first one: δθ, then δp, both in the IMU frame.
         loops: Accepted loops.
     """
+    # Keyframes that loops reach
     reached: dict[int, list[RelativePose]] = defaultdict(list)
     for loop in loops:
         reached[loop.second].append(loop)
@@ -51,6 +51,7 @@ def covariances_with_loops(
             reached[loop.first].append(reversed_pose(loop))
     if not reached:
         return covariances
+    # Best path to each keyframe, in the order of time: as before, by a loop, or by the odometry
     best, steps = dict(covariances), {relative.second: relative for relative in graph.odometry}
     gravity = {direction.keyframe: direction for direction in graph.gravity}
     positions = {position.keyframe: position for position in graph.positions}
@@ -62,7 +63,7 @@ def covariances_with_loops(
         if number in positions:
             paths.append(with_position(paths[-1], positions[number], graph.poses[number]))
         best[number] = min(paths, key=position_variance)
-    # What the first loop of another track tells of the keyframes before it
+    # The first loop of another track also determines the keyframes before it
     for number in sorted(steps, reverse=True):
         step = steps[number]
         if is_unknown(best[step.first]):
@@ -94,5 +95,5 @@ def with_position(covariance: Array, position: AbsolutePosition, T_map_imu: Arra
 
 
 def is_unknown(covariance: Array) -> bool:
-    """Return whether nothing is known of a position."""
+    """Return whether a position is unknown."""
     return position_variance(covariance) > FREE_POSITION_SIGMA_M**2

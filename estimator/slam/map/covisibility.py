@@ -4,11 +4,9 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.ranges import Range, Settings
-
-Array = npt.NDArray[np.float64]
 
 MIN_SEPARATION = 4
 """Number of keyframes between two in which one is localized, so that these show different landmarks."""

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.types import Integers
+from dronevio.models.arrays import Array, Integers
 
-Array = npt.NDArray[np.float64]
 Descriptors = npt.NDArray[np.uint8]
 
 DESCRIPTOR_BYTES = 32

@@ -10,7 +10,7 @@ from dronevio.estimator.slam.map.pose_graph import OptimizedGraph
 from dronevio.models.slam_map import SlamMap
 
 FIRST_NS = -(2**62)
-"""Time before all others, at which the first track begins [ns]."""
+"""Time at which the first track begins, before all others [ns]."""
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,9 @@ offset between what was published before and after a loop is closed or the map i
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import inverse_pose, log_so3, rotation_z, yaw_rad_from_matrix
-
-Array = npt.NDArray[np.float64]
 
 LEVER_M = 1.0
 """Distance from each keyframe of the points on its axes that are aligned as well as its position [m], so that yaw is

@@ -22,14 +22,12 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.backend.observations import NO_OBSERVATIONS, ObservationTable
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import adjoint, inverse_pose
-
-Array = npt.NDArray[np.float64]
 
 MAX_DECREASE = 0.5
 """Ratio of the standard deviation of a keyframe's position to that by the factors before it, below which the position
@@ -150,10 +148,12 @@ def odometry_factors(
         is_map_frame: Whether the odometry frame is the map frame. Where it is not, as after a loss, there are no
             positions in the map.
     """
+    # Relative pose, with the growth of the covariance since the previous keyframe
     T = inverse_pose(previous.estimate.T_odom_imu) @ estimate.T_odom_imu
     transported = _transported(previous.covariance, T)
     least = _least_covariance(previous.estimate, estimate)
     expected = transported + least
+    # Where the position has become known better, a prior on it takes the place of growth
     if is_map_frame and position_variance(estimate.covariance) < MAX_DECREASE**2 * position_variance(expected):
         R = estimate.T_odom_imu[:3, :3]
         P_map = R @ estimate.covariance[3:, 3:] @ R.T
@@ -161,6 +161,7 @@ def odometry_factors(
         added = least + _position_excess(expected, estimate.covariance)
     else:
         position, added = None, least + _missing_growth(estimate, expected)
+    # Direction of gravity: the information that the factors before lack
     up = estimate.T_odom_imu[:3, :3].T @ _UP
     tilt = tilt_axes(up)
     # By the odometry and not by the factors before it, whose excess would grow from keyframe to keyframe.
@@ -171,6 +172,7 @@ def odometry_factors(
     information = _information(tilt, estimate.covariance) - _information(tilt, P)
     mean_information = float(np.trace(information)) / 2.0
     gravity = None if mean_information <= 0.0 else GravityDirection(number, up, mean_information**-0.5)
+    # Marginal covariance of the keyframe by all of these factors
     P = propagated(previous.covariance, relative, gravity)
     if position is not None:
         H = np.hstack([np.zeros((3, 3)), np.eye(3)])

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import X
 
 from dronevio.estimator.slam.map.odometry_factors import (
@@ -16,23 +15,22 @@ from dronevio.estimator.slam.map.odometry_factors import (
     scaled,
     tilt_axes,
 )
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import inverse_pose
 
-Array = npt.NDArray[np.float64]
-
 INLIER_PROBABILITY = 0.99
-"""Probability of χ² up to which a loop is an inlier of graduated non-convexity."""
+"""Probability of the χ² bound below which graduated non-convexity takes a loop as an inlier."""
 FREE_ROTATION_SIGMA_RAD, FREE_POSITION_SIGMA_M = 1.0, 100.0
 """Standard deviations of the pose of the first keyframe of a joined track [rad] and [m]: loops alone determine its yaw
 and position, and the solution stays unique where all of them are rejected."""
 TESTED_ROTATION_SIGMA_RAD, TESTED_POSITION_SIGMA_M = 0.005, 0.01
 """Standard deviations that are added to those of a loop where it is tested [rad] and [m]. The graph contains the growth
-of the odometry's covariance since the start, which is less than the error between two keyframes of its middle. A place
-that is mistaken for another one is wrong by far more."""
+of the odometry's covariance since the start, which is less than the error between two keyframes in between. A place
+mistaken for another one errs by far more."""
 ADJUSTED_VARIANCE = 0.1
 """Ratio of the covariance of a relative pose after bundle adjustment to that by the odometry alone."""
 FIXED_SIGMA = 1e-4
-"""Standard deviation of a pose that stays as it is [rad] and [m]; loops of some millimetres move it by micrometres."""
+"""Standard deviation of a fixed pose [rad] and [m]; loops of some millimetres move it by micrometres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +58,7 @@ class PoseGraph:
     """Numbers of the keyframes at which other tracks of the odometry begin. Yaw and position there are free: loops
     connect these tracks with the others."""
     fixed: tuple[int, ...] = ()
-    """Numbers of the keyframes whose poses stay as they are."""
+    """Numbers of the keyframes with fixed poses."""
 
     def with_keyframe(self, T_map_imu: Array, factors: OdometryFactors) -> "PoseGraph":
         """Return the graph with one more keyframe, by the odometry.
@@ -125,8 +123,8 @@ def optimize(graph: PoseGraph, *, robust: bool = True) -> OptimizedGraph:
 
     Args:
         graph: The graph; its poses are the initial estimates.
-        robust: Whether loops may be wrong. They are then tested by graduated non-convexity with a truncated quadratic
-            loss (Yang et al., "Graduated non-convexity for robust spatial perception", RA-L 2020).
+        robust: Whether loops may be wrong, which graduated non-convexity then rejects, with a truncated quadratic loss
+            (Yang et al., "Graduated non-convexity for robust spatial perception", RA-L 2020).
     """
     values = gtsam.Values()
     for k, T in graph.poses.items():
@@ -139,7 +137,7 @@ def optimize(graph: PoseGraph, *, robust: bool = True) -> OptimizedGraph:
 
 
 def remeasured(graph: PoseGraph, poses: Mapping[int, Array], scale: float, known: int = -1) -> PoseGraph:
-    """Return a graph with better poses of some keyframes, which its odometry measures from now on.
+    """Return a graph whose odometry measures improved poses of some keyframes.
 
     Other keyframes are moved with the newest of the better ones, and the odometry after it is scaled. Loops stay.
 

@@ -1,14 +1,13 @@
 """Submaps: pose graphs that grow with the odometry, are optimized when loops arrive, and are joined by common places.
 
-A keyframe at a place that is known already can be culled: the graph that is optimized during the flight then grows with
-new ground, not with time. All keyframes and factors remain in the history, for the final map.
+A keyframe that shows a known place can be culled: the graph that is optimized during the flight then grows with new
+ground, not with time. All keyframes and factors remain in the history, for the final map.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.map.covariance import UNKNOWN, covariances_of, covariances_with_loops, with_position
@@ -34,9 +33,8 @@ from dronevio.estimator.slam.map.pose_graph import (
     optimize,
     remeasured,
 )
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import inverse_pose, log_so3
-
-Array = npt.NDArray[np.float64]
 
 MAX_PASSED_LOOPS = 4
 """Number of loops of a keyframe up to which those of culled keyframes after it are passed on to it."""
@@ -49,15 +47,15 @@ SCALE_OVER_S, MIN_SCALED_M = 60.0, 5.0
 
 @dataclass(frozen=True)
 class Adjustment:
-    """What the last bundle adjustment of a submap tells of the odometry."""
+    """Result of the last bundle adjustment of a submap for the odometry."""
 
     newest: int
     """Number of the newest keyframe that was adjusted."""
     first: int
     """Number of the first keyframe of the track of the odometry."""
     scale: float
-    """Ratio of the lengths of the map to those of the odometry in that track. The scale of an odometry errs for minutes
-    in the same direction, so it is also that of the keyframes to come."""
+    """Ratio of the lengths of the map to those of the odometry in that track. The error of scale of an odometry changes
+    over minutes, so that the ratio holds for the next keyframes, too."""
 
 
 def path_scale(keyframes: Sequence[MapKeyframe], poses: Mapping[int, Array]) -> float:
@@ -99,7 +97,8 @@ class Submap:
     optimized_ns: int | None = None
     """Time of the newest keyframe at the last optimization [ns]; None before the first one."""
     adjustment: Adjustment | None = None
-    """The last bundle adjustment; None before the first one. After it, the map frame is no odometry frame any more."""
+    """The last bundle adjustment; None before the first one. From then on, the map frame is no longer an odometry
+    frame."""
     T_map_first: Array = field(default_factory=lambda: np.eye(4))
     """(4, 4) Pose in the map of the frame in which the first keyframe keeps its yaw and position; see `map_frame`."""
     is_saved: bool = False
@@ -251,6 +250,7 @@ class Submap:
             following: The estimate of the keyframe after it.
         """
         graph, waiting = self.graph, self.graph.loops[self.tested_loops :]
+        # Odometry: one relative pose in place of the two at the keyframe
         before = next(relative for relative in graph.odometry if relative.second == number)
         after = next(relative for relative in graph.odometry if relative.first == number)
         _, merged = self._odometry_factors(previous, after.second, following)
@@ -259,10 +259,12 @@ class Submap:
         T = before.T_first_second @ after.T_first_second  # also where bundle adjustment has changed them
         relative = replace(merged.relative, T_first_second=T, covariance=covariance)
         odometry = tuple(relative if each is after else each for each in graph.odometry if each is not before)
+        # Gravity and position of the keyframe after it, by the merged factors
         gravity = [each for each in graph.gravity if each.keyframe not in (number, after.second)]
         gravity += [] if merged.gravity is None else [merged.gravity]
         positions = [each for each in graph.positions if each.keyframe not in (number, after.second)]
         positions += [] if merged.position is None else [merged.position]
+        # Loops: the accepted ones pass on to the keyframe before
         closed = self.closed_loops
         kept = [loop for loop in graph.loops[: self.tested_loops] if loop.second != number]
         room = MAX_PASSED_LOOPS - sum(loop.second == before.first for loop in kept)
@@ -271,6 +273,7 @@ class Submap:
         kept_waiting = [loop for loop in waiting if loop.second != number]
         loops = (*kept, *passed, *kept_waiting)
         accepted = {*closed, *passed}
+        # Graph without the keyframe, and the history with its last pose
         poses = {k: T for k, T in graph.poses.items() if k != number}
         culled = replace(
             graph,

@@ -27,13 +27,12 @@ from dronevio.estimator.slam.map.keyframe import (
     Descriptors,
     KeyframeFeatures,
 )
-from dronevio.estimator.types import Integers, Observations
+from dronevio.estimator.types import Observations
+from dronevio.models.arrays import Array, Image, Integers
 from dronevio.models.camera import CameraModel
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig, RigCamera
 
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 Scores = npt.NDArray[np.float32]
 
 DOWNSAMPLING = 2  # pixels at full resolution per pixel of the image in which corners are detected

@@ -17,12 +17,9 @@ The depths λ and the translation follow linearly. All hypotheses are computed a
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import cross, rotation_z
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +83,7 @@ def solve_two_points(first: LevelMatches, second: LevelMatches) -> LevelPoses:
         first: First match of each pair.
         second: Second match of each pair.
     """
+    # Coplanarity of the two rays and the line between the points: a cos ψ + b sin ψ + c = 0
     D, offset = first.points - second.points, first.origins - second.origins
     n = cross(first.bearings, second.bearings)
     n2 = np.sum(n * n, axis=1)
@@ -97,6 +95,7 @@ def solve_two_points(first: LevelMatches, second: LevelMatches) -> LevelPoses:
     cosine = np.divide(-c, amplitude, out=np.zeros_like(c), where=is_solvable)
     mean, half = np.arctan2(b, a), np.arccos(cosine)
     yaw = np.concatenate([mean + half, mean - half])
+    # Both solutions of each pair, with points in front of the cameras
     twice = np.tile(np.flatnonzero(is_solvable), 2)
     yaw = yaw[np.concatenate([is_solvable, is_solvable])]
     n, n2 = n[twice], n2[twice]
@@ -105,6 +104,7 @@ def solve_two_points(first: LevelMatches, second: LevelMatches) -> LevelPoses:
     depth2 = np.sum(cross(rotated, first.bearings[twice]) * n, axis=1) / n2
     in_front = (depth1 > 0.0) & (depth2 > 0.0)
     twice, yaw, depth1 = twice[in_front], yaw[in_front], depth1[in_front]
+    # Position by the first point
     seen = first.origins[twice] + depth1[:, None] * first.bearings[twice]
     return LevelPoses(yaw, first.points[twice] - _rotated(seen, -yaw))
 

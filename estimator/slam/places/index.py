@@ -16,9 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.slam.places.vocabulary import Words
-from dronevio.estimator.types import Integers
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array, Integers
 
 FIRST_COLUMNS = 64
 """Number of keyframes for which there is room at the beginning; it doubles when they are used."""

@@ -12,22 +12,17 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.frontend.patches import PatchAligner, PatchConfig
 from dronevio.estimator.slam.map.keyframe import KeyframeFeatures, MapKeyframe
 from dronevio.estimator.slam.map.odometry_factors import RelativePose
 from dronevio.estimator.slam.places.matching import Correspondences, described_landmarks
 from dronevio.estimator.slam.places.relative_pose import RelativePoseConfig, Views, refine, whitened_errors
+from dronevio.models.arrays import Array, Image, Integers, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import inverse_pose
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
-Integers = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 BORDER_PX = 3  # pixels around a patch that its gradients and its blur need
 MIN_LOCALIZED_DEPTH_M = 0.2  # smallest depth of a landmark that is projected
@@ -153,6 +148,7 @@ class Localizer:
             T_match_query: (4, 4) Predicted pose of the query's IMU in the IMU frame of the match.
         """
         c, rig = self._config, images.rig
+        # Patches of the match, aligned with the images of the query
         in_view = [self._in_view(patches, index, images, T_match_query) for index in range(len(rig.cameras))]
         aligned = [self._aligned(patches, images.images[i], rig.cameras[i].model, *v) for i, v in enumerate(in_view)]
         rows = np.concatenate([each[0] for each in aligned])
@@ -160,6 +156,7 @@ class Localizer:
         min_count = max(c.min_inliers, c.min_view_ratio * sum(len(each[0]) for each in in_view))
         if len(rows) < min_count:
             return None
+        # Relative pose by the aligned landmarks
         camera = patches.camera[rows]
         old = Correspondences(patches.landmark[rows], patches.points_imu[rows], camera, xy, camera)
         new = old[np.zeros(0, np.int64)]
@@ -169,6 +166,7 @@ class Localizer:
         fit = refine(T_match_query, old, new, views, c.pose)
         if fit is None:
             return None
+        # Tests of the result: inliers and certainty
         error, _ = whitened_errors(fit.T_match_query, old, new, views, c.pose)
         agrees = error < c.max_error_sigmas
         if agrees.sum() < min_count or agrees.mean() < c.min_inlier_ratio:

@@ -9,10 +9,8 @@ import numpy.typing as npt
 from dronevio.estimator.backend.observations import ObservationTable
 from dronevio.estimator.slam.map.keyframe import MapKeyframe
 from dronevio.estimator.slam.places.vocabulary import hamming_distances
-from dronevio.estimator.types import Integers
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.ranges import Range, Settings
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

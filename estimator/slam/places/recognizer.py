@@ -19,12 +19,11 @@ from dronevio.estimator.slam.places.features import PlaceFeatureConfig
 from dronevio.estimator.slam.places.index import PlaceIndex
 from dronevio.estimator.slam.places.verification import PlaceMatch, VerificationConfig, verify
 from dronevio.estimator.slam.places.vocabulary import Vocabulary, default_vocabulary
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import inverse_pose, log_so3
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

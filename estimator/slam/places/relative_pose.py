@@ -8,8 +8,8 @@ Landmarks are not exact either, mainly in their depth. Each depth has an error o
 prior and is eliminated from each step: the residual is that at zero error, with the covariance σ² I + ρ² s sᵀ, where s
 is the derivative of the projection by the error and ρ its standard deviation. The linearization is at the estimated
 error, since at zero error the derivatives would be correlated with the residuals, and the estimate biased. In addition,
-all depths of a keyframe have an error in common, as that of the scale of a single camera, whose effect on the pose is
-added to its covariance.
+all depths of a keyframe share an error, as that of the scale of a single camera, whose effect on the pose is added to
+its covariance.
 """
 
 from dataclasses import dataclass
@@ -23,10 +23,9 @@ from dronevio.estimator.optimization.gauss_newton import gauss_newton
 from dronevio.estimator.optimization.linalg import LUFactor, SingularError
 from dronevio.estimator.optimization.robust import cauchy_inflation, cauchy_loss
 from dronevio.estimator.slam.places.matching import Correspondences
+from dronevio.models.arrays import Array
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import cross, exp_so3, pose_matrix, skew
-
-Array = npt.NDArray[np.float64]
 
 DOWN = np.array([0.0, 0.0, -1.0])
 MAX_ERROR = 1e3
@@ -124,13 +123,13 @@ class PoseEquations:
     H: Array
     """(6, 6) Information matrix of δθ (right) and δp."""
     b: Array
-    """(6,) Right-hand side."""
+    """(6,) Right-hand side, the negative gradient."""
     x: PoseEstimate
     """The variables at which they are linearized."""
     scales: DepthScales
     """Covariances of the residuals."""
     J: Array
-    """(N, 2, 6) Whitened Jacobians."""
+    """(N, 2, 6) Whitened Jacobians by δθ and δp."""
     by_scale: Array
     """(N, 2) Whitened derivatives by the logarithm of the common scale of the landmarks."""
     error: Array
@@ -262,14 +261,9 @@ def refine(
         config: Assumed errors.
     """
     objective = RelativePoseObjective(old, new, views, config)
+    initial = objective.initial(T_match_query)
     try:
-        x = gauss_newton(
-            objective,
-            objective.initial(T_match_query),
-            LUFactor,
-            config.iterations,
-            is_last=lambda step: float(np.abs(step.delta).max()) < MIN_STEP,
-        ).x
+        x = gauss_newton(objective, initial, LUFactor, config.iterations, lambda s: np.abs(s.delta).max() < MIN_STEP).x
     except SingularError:
         return None
     equations = objective.linearize(x)

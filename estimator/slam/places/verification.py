@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.observations import NO_OBSERVATIONS, ObservationTable
 from dronevio.estimator.slam.map.keyframe import MapKeyframe
@@ -27,12 +26,10 @@ from dronevio.estimator.slam.places.gravity_pose import (
 )
 from dronevio.estimator.slam.places.matching import Correspondences, DescriptorMatchingConfig, match_landmarks
 from dronevio.estimator.slam.places.relative_pose import PoseFit, RelativePoseConfig, Views, refine, whitened_errors
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import log_so3
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 FEW_ITERATIONS = 3
 """Number of Gauss-Newton steps where the result only selects matches, or begins close to the solution."""
@@ -118,9 +115,11 @@ def verify(query: MapKeyframe, match: MapKeyframe, rig: Rig, config: Verificatio
         config: Settings.
     """
     c = config
+    # Landmarks of each keyframe, matched in the other one
     old, new = match_landmarks(match, query, c.matching), match_landmarks(query, match, c.matching)
     if not _are_enough(len(old), len(new), c):
         return Rejection("matches")
+    # RANSAC with two points and gravity
     Ts_imu_cam = np.stack([camera.T_imu_cam for camera in rig.cameras])
     focal_px = np.array([camera.model.central_focal_px[0] for camera in rig.cameras])
     views = Views(Ts_imu_cam, focal_px, match.T_odom_imu[:3, :3], query.T_odom_imu[:3, :3])
@@ -129,10 +128,12 @@ def verify(query: MapKeyframe, match: MapKeyframe, rig: Rig, config: Verificatio
     consensus = _consensus(old, new, views, depth_m, rng, c)
     if isinstance(consensus, Rejection):
         return consensus
+    # Pose by all inliers
     refined = _refined(consensus, old, new, views, c)
     if refined is None:
         return Rejection("inliers")
     pose, is_old, is_new = refined
+    # Tests of the result: support, gravity, distance, certainty, and each keyframe's landmarks by themselves
     inliers = int(is_old.sum()), int(is_new.sum())
     if not _are_enough(*inliers, c) or sum(inliers) < c.min_inlier_ratio * (len(old) + len(new)):
         return Rejection("inliers")

@@ -1,4 +1,4 @@
-"""What the odometry sends to its map, and the map that answers in the process of the odometry.
+"""Messages of the odometry to its map, and a map in the process of the odometry.
 
 `VisualSlam` sends one message for each keyframe that leaves the window, and receives one answer to each message, in the
 same order. Who answers is an `OdometryMap`: `LocalMap` at once and in the same process, `MapProcess` meanwhile and in
@@ -9,9 +9,6 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
-
-import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.adjustment.adjuster import Adjuster, LocalAdjuster
@@ -25,10 +22,9 @@ from dronevio.estimator.slam.places.localization import KeyframeImages, Keyframe
 from dronevio.estimator.slam.places.recognizer import PlaceRecognizer
 from dronevio.estimator.slam.schedule import AdjustmentSchedule
 from dronevio.estimator.types import Observations
+from dronevio.models.arrays import Array, Image
 from dronevio.models.rig import Rig
 
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 Result = TypeVar("Result")
 
 
@@ -77,12 +73,12 @@ class TrackLost:
 
 
 MapMessage = WindowKeyframe | MarginalizedKeyframe | TrackLost
-"""What the odometry sends to its map."""
+"""A message of the odometry to its map."""
 
 
 @dataclass(frozen=True)
 class MapCost:
-    """What the map has cost beside the odometry."""
+    """Cost of the map beside that of the odometry."""
 
     frames: int
     """Number of frames of the odometry."""

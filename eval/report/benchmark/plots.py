@@ -8,7 +8,6 @@ from collections.abc import Iterable, Iterator
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
@@ -18,8 +17,8 @@ from dronevio.eval.benchmark.summary import known_values
 from dronevio.eval.metrics.metric import FAILED, Metric
 from dronevio.eval.report.benchmark.model import BenchmarkResults, value_of
 from dronevio.eval.report.figures import GRID, INK, Boxes, draw_boxes, set_log_scale
+from dronevio.models.arrays import Array
 
-Array = npt.NDArray[np.float64]
 Kind = Literal["position", "orientation"]
 """Kind of relative errors."""
 

@@ -7,7 +7,6 @@ small.
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Rectangle
@@ -22,9 +21,8 @@ from dronevio.eval.scene import (
     scene_points,
     upright_rotation,
 )
+from dronevio.models.arrays import Array
 from dronevio.models.reconstruction import Reconstruction
-
-Array = npt.NDArray[np.float64]
 
 RASTER_DPI = 200
 """Resolution of points that are drawn as pixels [1/in]."""

@@ -24,7 +24,6 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.eval.images import Image
 from dronevio.eval.metrics.reconstruction import (
     PositionComparison,
     ReconstructionStatistics,
@@ -32,11 +31,11 @@ from dronevio.eval.metrics.reconstruction import (
     reconstruction_statistics,
 )
 from dronevio.eval.provenance import RunInfo
+from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import EvaluationError
 from dronevio.models.reconstruction import Reconstruction
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 ReadImage = Callable[[str], Image | None]
 """Function that returns the image (H, W) or (H, W, 3) of a name, or None if there is none."""

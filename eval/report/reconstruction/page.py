@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 from markupsafe import Markup
 
 from dronevio.eval.metrics.reconstruction import ReconstructionStatistics, residual_field
@@ -23,8 +22,6 @@ from dronevio.eval.report.reconstruction.photographs import hex_colours, photogr
 from dronevio.eval.report.templating import Tile, number, render_page
 from dronevio.eval.scene import VIEW_ASPECT, ResidualStyle
 from dronevio.models.reconstruction import Reconstruction
-
-Array = npt.NDArray[np.float64]
 
 MAX_COMPONENTS = 3
 """Number of components of which the page shows pictures."""

@@ -5,14 +5,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.eval import colours
 from dronevio.eval.images import downscaled, jpeg
 from dronevio.eval.report.reconstruction.model import ReconstructionResults
 from dronevio.eval.scene import ResidualStyle
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 MAX_PHOTOGRAPHS = 6
 """Number of images with observations that the page shows."""

@@ -16,9 +16,9 @@ from dronevio.eval import colours
 from dronevio.eval.metrics.reconstruction import PositionComparison, ResidualField
 from dronevio.eval.report.figures import INK, set_log_scale
 from dronevio.eval.scene import round_down
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 _LARGEST_ERROR_PERCENT = 99.5  # percentile at which the histogram of errors ends

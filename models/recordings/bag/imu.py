@@ -8,15 +8,14 @@ from itertools import islice
 from typing import Literal, cast
 
 import numpy as np
-import numpy.typing as npt
 from rosbags.typesys.stores import ros2_humble as ros
 
+from dronevio.models.arrays import Array
 from dronevio.models.recordings.bag.file import BagFile
 from dronevio.models.recordings.bag.messages import imu_halves
 from dronevio.models.recordings.bag.stamps import TopicStamps
 from dronevio.models.recordings.split_imu import interpolated_accel
 
-Array = npt.NDArray[np.float64]
 Halves = Literal["both", "gyro", "accel"]
 
 _EXAMINED = 100  # messages of a topic, to see what it measures

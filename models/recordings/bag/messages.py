@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 from rosbags.typesys.stores import ros2_humble as ros
 
+from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuModel, ImuSamples, Times
@@ -26,8 +26,6 @@ from dronevio.models.rig import Rig
 from dronevio.models.rotation import inverse_pose, log_so3, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
 
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 ImageMessage: TypeAlias = "ros.sensor_msgs__msg__Image | ros.sensor_msgs__msg__CompressedImage"
 PoseMessage: TypeAlias = (
     "ros.nav_msgs__msg__Odometry | ros.geometry_msgs__msg__PoseStamped | ros.geometry_msgs__msg__TransformStamped"

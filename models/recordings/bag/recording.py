@@ -18,6 +18,7 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.defects import Defect
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel, ImuSamples, Sampling, Times
@@ -45,8 +46,6 @@ from dronevio.models.recordings.repair import (
 from dronevio.models.recordings.segments import Split, segment_name, split_at_steps, usable_segments
 from dronevio.models.rig import Rig, check_camera_count
 from dronevio.models.state import CameraFrame, Trajectory
-
-Array = npt.NDArray[np.float64]
 
 MAX_TIME_S = 1e9  # longer than any recording
 
@@ -79,7 +78,7 @@ class BagRecording:
     complete: bool = True
     """Whether the recording is complete; a truncated bag cannot be opened."""
     repair: bool = False
-    """Whether frames go without images that are damaged; otherwise these raise an error."""
+    """Whether damaged images are left out of their frames; otherwise they raise an error."""
     defects: tuple[Defect, ...] = field(default=(), repr=False)
     """Defects that were found when the bag was opened with `repair`."""
     later: tuple["BagRecording", ...] = field(default=(), repr=False)

@@ -9,11 +9,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.rig import Rig, RigCamera
-
-Array = npt.NDArray[np.float64]
 
 _MAX_ANGLE = math.radians(
     30.0

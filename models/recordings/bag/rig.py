@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-import numpy.typing as npt
 from rosbags.typesys.stores import ros2_humble as ros
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuModel, Sampling
 from dronevio.models.recordings.bag.file import BagFile
 from dronevio.models.recordings.bag.messages import camera_model
@@ -22,8 +22,6 @@ from dronevio.models.recordings.calibration.yaml_document import parse_yaml
 from dronevio.models.recordings.files import as_input_error
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import inverse_pose, matrix_from_quat_wxyz, pose_matrix
-
-Array = npt.NDArray[np.float64]
 
 _TF_TYPE, _STRING_TYPE, _INFO_TYPE = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String", "sensor_msgs/msg/CameraInfo"
 _UNIT_TOLERANCE = 1e-3

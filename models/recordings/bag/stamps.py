@@ -1,7 +1,6 @@
-"""Time stamps of the messages in a bag, and what stands for them where a driver has not set them.
+"""Time stamps of the messages in a bag, and their substitutes where a driver has not set them.
 
-In ROS, the time stamp 0 of a header means that it is unset. The time at which a message was logged is later by the
-time that it took on the way.
+In ROS, the time stamp 0 of a header means that it is unset. The log time of a message is later by its latency.
 """
 
 from dataclasses import dataclass

@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-import numpy.typing as npt
 from rosbags.typesys.stores import ros2_humble as ros
 
+from dronevio.models.arrays import Array
 from dronevio.models.imu import Times
 from dronevio.models.recordings.bag.file import BagFile
 from dronevio.models.recordings.bag.messages import PoseMessage, position_and_quat_wxyz, velocity_in_body
@@ -14,8 +14,6 @@ from dronevio.models.recordings.bag.writer import FRAME_TRUTH_TOPIC, TRUE_VECTOR
 from dronevio.models.recordings.frame_truth import FrameTruth, parse_frame_truth
 from dronevio.models.rotation import matrix_from_quat_wxyz
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 _UNIT_TOLERANCE = 0.05  # as for all trajectories
 

@@ -10,8 +10,8 @@ import json
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuModel
@@ -21,8 +21,6 @@ from dronevio.models.recordings.calibration.yaml_document import YamlDocument
 from dronevio.models.recordings.files import as_input_error
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix, quat_wxyz_from_matrix
-
-Array = npt.NDArray[np.float64]
 
 _ROOT = "value0"  # the name that Basalt's serialization gives to the document
 _LENSES: Mapping[str, LensName] = {

@@ -4,15 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
-
+from dronevio.models.arrays import Array
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel, Sampling
 from dronevio.models.recordings.files import as_input_error
 from dronevio.models.rig import Rig, RigCamera
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,8 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Times
@@ -30,8 +30,6 @@ from dronevio.models.recordings.calibration.kalibr import (
 from dronevio.models.recordings.calibration.yaml_text import indented, rows_yaml, yaml_text
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import inverse_pose
-
-Array = npt.NDArray[np.float64]
 
 _OPENCV = "%YAML:1.0\n"
 

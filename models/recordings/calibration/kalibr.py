@@ -12,8 +12,8 @@ from dataclasses import replace
 from typing import cast
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import InputError
 from dronevio.models.imu import Sampling
 from dronevio.models.recordings.calibration.calibration import Calibration
@@ -24,8 +24,6 @@ from dronevio.models.recordings.calibration.yaml_text import indented, rows_yaml
 from dronevio.models.recordings.files import as_input_error
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import inverse_pose
-
-Array = npt.NDArray[np.float64]
 
 CAMCHAIN_FILE, IMU_FILE = "camchain.yaml", "imu.yaml"
 """File names in the documentation of Kalibr."""

@@ -12,17 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent, Event
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import InputError
 from dronevio.models.recordings.calibration.yaml_text import Value, yaml_text
 from dronevio.models.recordings.files import read_text
-
-Array = npt.NDArray[np.float64]
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _OPENCV_HEADER = re.compile(r"\A((?:[ \t]*(?:#[^\n]*)?\n)*)%YAML:1\.0[^\n]*(\n---[^\n]*)?")

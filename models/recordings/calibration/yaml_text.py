@@ -4,10 +4,8 @@ import json
 import re
 from typing import TypeAlias
 
-import numpy as np
-import numpy.typing as npt
+from dronevio.models.arrays import Array
 
-Array = npt.NDArray[np.float64]
 Value: TypeAlias = "float | str | tuple[Value, ...]"
 
 _PLAIN = re.compile(r"(?!(?i:null|true|false|yes|no|on|off|y|n)$)[A-Za-z][\w ()./+-]*(?<! )", re.ASCII)

@@ -24,13 +24,12 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from dronevio.models.actions import ACTION_MODES, ActionLimits
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.sim.physics.cascade import Body, Cascade, CascadeState, attitude_along
 from dronevio.sim.physics.gains import Gains
-from dronevio.sim.physics.vehicle_states import Mask, VehicleStates
-
-Array = npt.NDArray[np.float64]
+from dronevio.sim.physics.vehicle_states import VehicleStates
 
 
 class ActionMode(Protocol):

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.physics.vehicle_states import Mask, VehicleStates
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array, Mask
+from dronevio.sim.physics.vehicle_states import VehicleStates
 
 REASONS = ("", "success", "no estimate", "flipped", "out of bounds", "ground", "collision", "diverged")
 """Reasons of a termination in ``info["termination"]``; empty while an episode goes on. If several apply, the last one

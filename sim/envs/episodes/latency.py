@@ -6,9 +6,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.physics.vehicle_states import Mask
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array, Mask
 
 LATENCY_MAX_S = 0.2
 """Largest latency [s]; larger ones are reduced to it."""

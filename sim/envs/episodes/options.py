@@ -22,13 +22,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import matrix_from_quat_wxyz
 from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.tasks import AnyTask
 from dronevio.sim.physics.vehicle_states import VehicleStates
 
-Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
 
 _STATES = ("position_m", "velocity_m_s", "rate_rad_s", "rotor_speed_rad_s", "battery_charge")

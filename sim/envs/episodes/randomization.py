@@ -6,12 +6,11 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.sim.envs.episodes.distributions import Constant, Distribution, LogUniform, Normal, Uniform
 from dronevio.sim.physics.vehicle_states import Table, VehicleParameters
-
-Array = npt.NDArray[np.float64]
 
 _ZERO, _ONE = Constant(0.0), Constant(1.0)
 

@@ -7,9 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.actions import ActionLimits
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import rotation_z, yaw_rad_from_matrix
-
-Array = npt.NDArray[np.float64]
 
 TURNING_FROM_M = 1.0
 """Horizontal distance from the goal beyond which the vehicle turns to it [m]."""

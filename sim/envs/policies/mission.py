@@ -21,8 +21,6 @@ from dronevio.sim.physics.vehicle_states import VehicleStates
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.world import flight_area
 
-Array = npt.NDArray[np.float64]
-
 FLOWN_TASKS = ("hover", "waypoints", "race")
 """Tasks that begin with a hover above the landing pad, and can therefore be flown after a take-off."""
 

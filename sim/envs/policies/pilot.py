@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import Controller
@@ -27,8 +27,6 @@ from dronevio.sim.envs.tasks import Objective, Transition
 from dronevio.sim.paths.path import Reference
 from dronevio.sim.physics.controller import SE3Controller
 from dronevio.sim.physics.vehicle_states import VehicleStates
-
-Array = npt.NDArray[np.float64]
 
 OBSERVED_IN_FLIGHT = (
     "position",

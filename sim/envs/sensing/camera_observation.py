@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
@@ -18,7 +19,6 @@ from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.rendering.loaded_world import LoadedWorld, WorldKey, lease_world
 from dronevio.sim.rendering.shared import Lease
 
-Array = npt.NDArray[np.float64]
 Images = dict[str, npt.NDArray[Any]]
 ImageKind = Literal["grey", "rgb", "depth"]
 

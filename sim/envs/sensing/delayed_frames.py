@@ -3,15 +3,13 @@
 from collections import deque
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import CameraFrame, Trajectory
 from dronevio.sim.envs.sensing.estimation import EpisodeCameras, Estimation
 from dronevio.sim.physics.vehicle_states import VehicleStates
-
-Array = npt.NDArray[np.float64]
 
 _MOTION_S = 0.2  # of true motion before the latency that frames may need: exposure and readout
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
@@ -15,8 +15,6 @@ from dronevio.sim.closed_loop.estimated_state import EstimatedState
 from dronevio.sim.envs.sensing.delayed_frames import DelayedFrames
 from dronevio.sim.envs.sensing.estimation import CameraSetup, Estimation, EstimatorFactory
 from dronevio.sim.physics.vehicle_states import VehicleStates
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

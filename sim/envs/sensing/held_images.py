@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.imu import Times
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.sensing.camera_observation import CameraObservation, Images
-from dronevio.sim.physics.vehicle_states import Mask
 
-Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
 
 

@@ -3,15 +3,12 @@
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import Rig
 from dronevio.sim.inertial.batch_imu import BatchImuErrors, vibration_of
 from dronevio.sim.physics.batch_plant import BatchPlant
-from dronevio.sim.physics.vehicle_states import Mask
-
-Array = npt.NDArray[np.float64]
 
 
 class ImuWindow:

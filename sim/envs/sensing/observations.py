@@ -38,6 +38,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rotation import quat_wxyz_from_matrix
@@ -47,7 +48,6 @@ from dronevio.sim.envs.tasks.task import Objective
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import VehicleStates
 
-Array = npt.NDArray[np.float64]
 Array32 = npt.NDArray[np.float32]
 
 IMAGES: tuple[ImageKind, ...] = ("grey", "rgb", "depth")

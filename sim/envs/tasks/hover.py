@@ -4,12 +4,11 @@ from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.ranges import Range
 from dronevio.sim.envs.tasks.task import (
-    Mask,
     Objective,
     Start,
     TaskSettings,
@@ -20,8 +19,6 @@ from dronevio.sim.envs.tasks.task import (
 )
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import Table, VehicleStates
-
-Array = npt.NDArray[np.float64]
 
 _START = Start()
 _KEPT_S = 1.0  # time for which a vehicle has to be at its target until it keeps it

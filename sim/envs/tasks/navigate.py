@@ -5,13 +5,12 @@ from functools import lru_cache
 from typing import Annotated, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.ranges import Range
 from dronevio.sim.envs.tasks.task import (
-    Mask,
     Objective,
     Start,
     TaskSettings,
@@ -23,8 +22,6 @@ from dronevio.sim.envs.tasks.task import (
 )
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import Table, VehicleStates
-
-Array = npt.NDArray[np.float64]
 
 _START = Start(position_m=0.1, velocity_m_s=0.3, tilt_rad=0.1, rate_rad_s=0.3)
 _PLACES = 2048  # random places of a world, of whose free ones starts and goals are drawn

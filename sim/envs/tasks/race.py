@@ -6,14 +6,13 @@ from typing import Annotated, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.ranges import Range
-from dronevio.sim.envs.tasks.task import Mask, Objective, Start, TaskSettings, Transition, penalties, weighted
+from dronevio.sim.envs.tasks.task import Objective, Start, TaskSettings, Transition, penalties, weighted
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import Table, VehicleStates
-
-Array = npt.NDArray[np.float64]
 
 _START = Start(position_m=0.3)
 _START_HEIGHT_M = 1.5  # above the landing pad

@@ -9,14 +9,13 @@ from typing import Annotated, Any, ClassVar, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import exp_so3
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import Table, VehicleStates
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Goals = TypeVar("Goals")
 
 

@@ -6,11 +6,11 @@ from typing import Annotated, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.ranges import Range
 from dronevio.sim.envs.tasks.task import (
-    Mask,
     Objective,
     Start,
     TaskSettings,
@@ -22,8 +22,6 @@ from dronevio.sim.envs.tasks.task import (
 )
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import Table, VehicleStates
-
-Array = npt.NDArray[np.float64]
 
 _START = Start(position_m=0.3, velocity_m_s=0.3)
 _MARGIN_M = 0.5  # of the reference from the bounds

@@ -4,15 +4,13 @@ from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.ranges import Range
-from dronevio.sim.envs.tasks.task import Mask, Objective, TaskSettings, Transition, action_change, closeness, weighted
+from dronevio.sim.envs.tasks.task import Objective, TaskSettings, Transition, action_change, closeness, weighted
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import Table, VehicleStates
-
-Array = npt.NDArray[np.float64]
 
 _ON_GROUND_M = 0.03  # height above that of a standing vehicle below which it touches down
 _AT_REST_M_S = 0.05

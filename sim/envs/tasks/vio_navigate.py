@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.ranges import Range
 from dronevio.models.rotation import rotation_z
@@ -13,8 +13,6 @@ from dronevio.sim.envs.tasks.navigate import Navigate, NavigateGoals, drawn_goal
 from dronevio.sim.envs.tasks.task import Transition
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import VehicleStates
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimator.backend.drift import with_rotation_error
 from dronevio.estimator.backend.marginal_prior import STATE_DIM, KeyframeState, MarginalPrior
 from dronevio.estimator.initialization.static import InitialSigmas
+from dronevio.models.arrays import Array
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, pose_matrix
@@ -20,7 +20,6 @@ from dronevio.models.rotation import exp_so3, pose_matrix
 if TYPE_CHECKING:
     from tests.estimator.conftest import KeyframeFeed, SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 
 PIVOT_M = np.array([1.0, -2.0, 0.5])
 SIGMA_RAD = 0.01

@@ -3,15 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.landmarks import CameraPoses, LandmarkConfig, LandmarkDatabase
-from dronevio.estimator.backend.observations import CORRELATED_KEYFRAMES, Integers
+from dronevio.estimator.backend.observations import CORRELATED_KEYFRAMES
 from dronevio.estimator.types import NO_FEATURES, Matches, Observations
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.rotation import exp_so3
-
-Array = npt.NDArray[np.float64]
 
 FOCAL_PX = 458.0
 LANDMARKS, KEYFRAMES = 30, 12

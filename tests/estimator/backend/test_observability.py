@@ -11,18 +11,17 @@ from typing import TYPE_CHECKING
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import dronevio.estimator.backend.smoother as smoother_module
 from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimator.backend.marginal_prior import KeyframeState, MarginalPrior
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import KeyframeFeed, SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 MakeFlight = Callable[..., "SyntheticFlight"]
 MakePriors = Callable[["SyntheticFlight", SmootherConfig], Iterator[MarginalPrior]]
 

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkDatabase
@@ -18,12 +17,12 @@ from dronevio.estimator.backend.recalibration import (
 )
 from dronevio.estimator.optimization.linalg import CholeskyFactor
 from dronevio.estimator.types import Calibration, Observations
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import KeyframeFeed, SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 MakeFlight = Callable[..., "SyntheticFlight"]
 
 OFFSET_S = 0.003

@@ -6,9 +6,8 @@ import pytest
 
 from dronevio.estimator.backend.observations import ObservationTable
 from dronevio.estimator.backend.reprojection import ObservationIndices, VisualState, residuals, visual_system
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, pose_matrix
-
-Array = npt.NDArray[np.float64]
 
 K, L, CAMERAS = 4, 9, 2
 

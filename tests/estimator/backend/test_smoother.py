@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.config import SmootherConfig
@@ -17,13 +16,13 @@ from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.estimator.optimization import gauss_newton
 from dronevio.estimator.optimization.linalg import CholeskyFactor, SingularError
 from dronevio.estimator.types import Calibration
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, log_so3
 from dronevio.models.state import NavState, Trajectory
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import KeyframeFeed, SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 MakeFlight = Callable[..., "SyntheticFlight"]
 
 

@@ -8,9 +8,8 @@ import pytest
 from scipy.optimize import least_squares
 
 from dronevio.estimator.backend.triangulation import triangulate
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3
-
-Array = npt.NDArray[np.float64]
 
 PIXEL = 1.0 / 458.0
 LANDMARKS, CAMERAS = 30, 12

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkDatabase
@@ -14,8 +13,7 @@ from dronevio.estimator.backend.observations import CORRELATED_KEYFRAMES
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.optimization.linalg import CholeskyFactor
 from dronevio.estimator.types import Observations
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 FOCAL_PX, LANDMARKS, KEYFRAMES, PIXEL_SIGMA = 450.0, 30, 5, 0.4
 

@@ -1,16 +1,14 @@
 """Dead reckoning against a motion in closed form."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.baselines.dead_reckoning import DeadReckoning
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3
 from dronevio.models.state import CameraFrame, Estimate, Health
-
-Array = npt.NDArray[np.float64]
 
 RATE_HZ, STATIONARY_S = 200, 1.0
 GYRO_BIAS_RAD_S = np.array([0.01, -0.02, 0.03])

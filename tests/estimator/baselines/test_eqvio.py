@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.baselines.eqvio import (
@@ -21,7 +20,6 @@ from dronevio.models.protocols import Estimator, measurements
 from dronevio.models.rig import euroc_rig
 from dronevio.models.state import CameraFrame, Estimate, Health, Trajectory
 
-Array = npt.NDArray[np.float64]
 MakeFlight = Callable[..., Any]  # tests/estimator/conftest.py has the class
 
 

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.baselines.eqvio import FilterSettings
@@ -14,7 +13,6 @@ from dronevio.eval.metrics.alignment import align
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
 
-Array = npt.NDArray[np.float64]
 Flown = tuple[FeatureRecording, Trajectory]
 
 NOISE_PX = 0.5

@@ -5,7 +5,6 @@ import math
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.book.drift import predicted_covariance
@@ -18,10 +17,9 @@ from dronevio.estimator.book.imu import (
     run_imu_experiment,
 )
 from dronevio.estimator.book.loop import Counting, LoopFlight
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuModel
-
-Array = npt.NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.calibration import significance
@@ -23,6 +22,7 @@ from dronevio.estimator.calibration.window_collector import CalibrationWindow
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.types import NO_MATCHES, Calibration, Matches, Observations
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import rig_named
@@ -32,7 +32,6 @@ from dronevio.models.state import NavState
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 MakeFlight = Callable[..., "SyntheticFlight"]
 
 REST_S = 1.0

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.calibration.config import CalibrationConfig
@@ -11,8 +10,7 @@ from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
 from dronevio.estimator.calibration.estimate import ParameterEstimate, covariance_inflation, inflation_share
 from dronevio.estimator.calibration.parameters import FIXED_SIGMA, ParameterTable
 from dronevio.estimator.calibration.significance import SignificanceTest
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 CONFIG = CalibrationConfig()
 PARAMETERS = ParameterTable.of(CONFIG, 1)

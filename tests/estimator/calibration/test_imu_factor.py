@@ -2,17 +2,15 @@
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.baselines.dead_reckoning import preintegrate
 from dronevio.estimator.calibration.imu_factor import CalibrationImuFactors
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
+from dronevio.models.arrays import Array
 from dronevio.models.imu import EUROC_IMU
 from dronevio.models.rotation import exp_so3, log_so3
-
-Array = npt.NDArray[np.float64]
 
 DT_S, STEPS = 0.005, 40
 GRAVITY_M_S2 = 9.78

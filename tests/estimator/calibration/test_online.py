@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.calibration.adjustment import AdjustmentResult, CalibrationProblem
@@ -21,6 +20,7 @@ from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyfra
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.types import Calibration, Observations
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rig import Rig
@@ -30,7 +30,6 @@ from dronevio.models.state import NavState
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 MakeFlight = Callable[..., "SyntheticFlight"]
 
 ROTATION_RAD = np.radians([0.6, -0.5, 0.7])

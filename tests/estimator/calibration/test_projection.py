@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.triangulation import triangulate
@@ -15,9 +14,8 @@ from dronevio.estimator.calibration.projection import (
     corrected_xy,
     project,
 )
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, pose_matrix
-
-Array = npt.NDArray[np.float64]
 
 K, L, CAMERAS = 3, 5, 2
 H = 1e-6

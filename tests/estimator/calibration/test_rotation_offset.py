@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.calibration.image_rotation import (
@@ -16,10 +15,9 @@ from dronevio.estimator.calibration.image_rotation import (
 )
 from dronevio.estimator.calibration.rotation_offset import MIN_PAIRS, rotation_offset
 from dronevio.estimator.types import Observations
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rotation import exp_so3, integrated_rotations, log_so3, pose_matrix
-
-Array = npt.NDArray[np.float64]
 
 RANGE_S = 0.25
 STEP_NS = 1_000_000

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.calibration import online
@@ -14,10 +13,9 @@ from dronevio.estimator.calibration.online import OnlineCalibration
 from dronevio.estimator.calibration.window import WindowKeyframe
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.types import Matches, Observations
+from dronevio.models.arrays import Array
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 PERIOD_S = 0.3
 """Time between keyframes."""

@@ -4,17 +4,16 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.calibration.unverified import unverified_covariance
 from dronevio.estimator.config import VioConfig
+from dronevio.models.arrays import Array
 from dronevio.models.state import Estimate, NavState
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 MakeFlight = Callable[..., "SyntheticFlight"]
 
 VELOCITY_M_S = np.array([2.0, 0.0, 0.0])

@@ -4,15 +4,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.rotation import exp_so3, pose_matrix
 
-Array = npt.NDArray[np.float64]
 Surface = Callable[[Array, Array], Array]
 """Function of an origin (3,) and rays (…, 3) that returns the factors (…) of the rays at the surface."""
 

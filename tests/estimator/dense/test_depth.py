@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.dense.config import DepthConfig, ViewConfig
@@ -14,11 +13,11 @@ from dronevio.estimator.dense.directions import dominant_normals
 from dronevio.estimator.dense.neighbours import observed_points, select_neighbours
 from dronevio.estimator.dense.sgm import aggregate, subpixel_minimum
 from dronevio.estimator.dense.views import Undistortion, ViewLoader
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
 from dronevio.models.image_sets import ImageSet
 
-Array = npt.NDArray[np.float64]
 MakeScene = Callable[..., Any]
 Scene = Any  # the class of conftest, which cannot be imported
 

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.array_store import ArrayStore
@@ -20,7 +19,6 @@ from dronevio.estimator.dense.views import Pinhole, ViewLoader
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.surfaces import PointCloud
 
-Array = npt.NDArray[np.float64]
 Scene = Any  # the class of conftest, which cannot be imported
 
 CAMERA = Pinhole(40, 30, np.array([[40.0, 0.0, 19.5], [0.0, 40.0, 14.5], [0.0, 0.0, 1.0]]))

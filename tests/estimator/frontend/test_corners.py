@@ -2,13 +2,11 @@
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.frontend.corners import CornerConfig, detect_corners
 from dronevio.estimator.frontend.patches import noise_sigma
-
-Image = npt.NDArray[np.uint8]
+from dronevio.models.arrays import Image
 
 WIDTH, HEIGHT = 320, 240
 

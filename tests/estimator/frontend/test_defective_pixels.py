@@ -3,18 +3,15 @@
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.frontend.defective_pixels import MIN_FRAMES, MIN_IMAGES, DefectivePixels
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.frontend.tracker import TrackerConfig
+from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import CameraFrame
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 
 HEIGHT, WIDTH = 120, 160
 STUCK = {(40, 50): 255, (41, 51): 255, (0, 0): 0, (90, 159): 255, (70, 20): 200}

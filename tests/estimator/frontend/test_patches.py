@@ -1,14 +1,11 @@
 """Patch alignment and Lucas-Kanade tracking on analytic images with a known warp, brightness and noise."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.frontend import klt
 from dronevio.estimator.frontend.patches import PatchAligner, PatchAlignment, PatchConfig, noise_sigma
-
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
+from dronevio.models.arrays import Array, Image
 
 CONFIG = PatchConfig()
 LARGE = PatchConfig(side_px=17)  # 1.7 times the pixels, and therefore smaller random errors

@@ -3,14 +3,11 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.frontend.ransac import MIN_MATCHES, epipolar_inliers, essential_inliers
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.rotation import exp_so3
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 PIXEL = 1.0 / 458.0
 THRESHOLD = 0.35 * PIXEL

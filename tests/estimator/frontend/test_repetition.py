@@ -3,14 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.frontend.repetition import MIN_ROTATION_RAD, ROTATION_SIGMAS, RepetitionFilter
+from dronevio.models.arrays import Image
 from dronevio.models.rotation import exp_so3
 from dronevio.models.state import NO_IMAGE, CameraFrame
-
-Image = npt.NDArray[np.uint8]
 
 LEFT, RIGHT, OTHER = (np.arange(24, dtype=np.uint8).reshape(4, 6) + np.uint8(k) for k in range(3))
 REST, TURNED = np.eye(3), exp_so3(np.array([0.0, 2.0 * MIN_ROTATION_RAD, 0.0]))

@@ -12,6 +12,7 @@ from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.frontend.stereo import shared_view
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
 from dronevio.estimator.types import Observations
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.rig import Rig, RigCamera
@@ -19,7 +20,6 @@ from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 from dronevio.models.state import NO_IMAGE, CameraFrame
 
-Array = npt.NDArray[np.float64]
 RenderWall = Callable[[CameraModel, Array], npt.NDArray[np.uint8]]
 
 LEFT = CameraModel(376, 240, 229.0, 228.5, 183.5, 124.0, (-0.28, 0.07, 2e-4, 2e-5))

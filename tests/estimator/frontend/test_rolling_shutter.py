@@ -3,17 +3,15 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.frontend.rolling_shutter import ExposureCompensation, LocalRotation
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.types import Calibration, Matches, Observations
+from dronevio.models.arrays import Array
 from dronevio.models.rig import EUROC_T_IMU_CAM1, Rig, RigCamera, euroc_rig
 from dronevio.models.rig_presets import PINHOLE
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix
-
-Array = npt.NDArray[np.float64]
 
 T_IMU_CAM = euroc_rig().cameras[0].T_imu_cam
 FRAME_S = 0.05

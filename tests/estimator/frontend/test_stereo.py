@@ -7,11 +7,11 @@ import numpy.typing as npt
 
 from dronevio.estimator.frontend import klt
 from dronevio.estimator.frontend.stereo import StereoConfig, StereoMatcher
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import pose_matrix
 
-Array = npt.NDArray[np.float64]
 RenderWall = Callable[[CameraModel, Array], npt.NDArray[np.uint8]]
 
 PINHOLE = CameraModel(376, 240, 229.0, 228.5, 183.5, 124.0)

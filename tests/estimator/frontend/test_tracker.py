@@ -11,13 +11,12 @@ import pytest
 from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
 from dronevio.estimator.types import Observations
+from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import NO_IMAGE, CameraFrame
 
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 RenderWall = Callable[[CameraModel, Array], Image]
 
 CAMERA = CameraModel(376, 240, 229.0, 228.5, 183.5, 124.0, (-0.28, 0.07, 2e-4, 2e-5))

@@ -4,14 +4,13 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.imu.covariance import covariance_from_gtsam, covariance_to_gtsam, propagate_covariance
+from dronevio.models.arrays import Array
 from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2, ImuModel
 from dronevio.models.rotation import exp_so3, log_so3
 
-Array = npt.NDArray[np.float64]
 State = tuple[Array, Array, Array, Array, Array]
 """Orientation (3, 3), position, velocity, and biases of gyroscope and accelerometer (3,)."""
 

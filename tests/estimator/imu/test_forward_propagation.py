@@ -6,12 +6,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
 from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
+from dronevio.models.arrays import Array
 from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2, ImuSamples, Sampling, Times
 from dronevio.models.protocols import measurements
 from dronevio.models.rotation import exp_so3, log_so3, pose_matrix
@@ -20,7 +20,6 @@ from dronevio.models.state import Estimate, Health, NavState, Trajectory
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 
 T0_NS, STEP_NS = 10**18, 5_000_000
 GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])

@@ -1,16 +1,14 @@
 """The transition matrix of dead reckoning, against derivatives of the integration."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.baselines.dead_reckoning import preintegrate
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.covariance import propagate_covariance
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel
 from dronevio.models.rotation import exp_so3, log_so3
-
-Array = npt.NDArray[np.float64]
 
 GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
 NOISELESS = ImuModel("none", 200.0, 0.0, 0.0, 0.0, 0.0)

@@ -5,7 +5,6 @@ from dataclasses import astuple, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.imu.buffer import NO_INCREMENTS, Increments
@@ -20,12 +19,12 @@ from dronevio.estimator.imu.noise import (
 )
 from dronevio.estimator.imu.preintegration import PreintegrationConfig
 from dronevio.estimator.initialization.static import InitialSigmas
+from dronevio.models.arrays import Array
 from dronevio.models.imu import EUROC_IMU
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import KeyframeFeed, SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 
 DT_S = 0.2
 DENSITY = 2e-3

@@ -15,10 +15,9 @@ from dronevio.estimator.imu.saturation import MIN_GYRO_RANGE_RAD_S, SaturationDe
 from dronevio.estimator.initialization.gauge import LastPublished
 from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.estimator.propagator import ImuPropagation
+from dronevio.models.arrays import Array
 from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2, ImuSamples
 from dronevio.models.state import NavState
-
-Array = npt.NDArray[np.float64]
 
 STEP_NS = 5_000_000
 RANGE_RAD_S = 1.0

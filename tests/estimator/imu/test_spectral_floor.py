@@ -1,7 +1,6 @@
 """The lowest spectral density of IMU samples, and the noise estimate that it bounds."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.imu.noise import (
@@ -13,9 +12,9 @@ from dronevio.estimator.imu.noise import (
 )
 from dronevio.estimator.imu.preintegration import PreintegrationConfig
 from dronevio.estimator.imu.spectral_floor import SEGMENT, SpectralFloor
+from dronevio.models.arrays import Array
 from dronevio.models.imu import EUROC_IMU, ImuSamples
 
-Array = npt.NDArray[np.float64]
 SHEET = np.array([EUROC_IMU.gyro_noise_density, EUROC_IMU.accel_noise_density])
 
 

@@ -31,6 +31,7 @@ from dronevio.estimator.initialization.refinement import refine
 from dronevio.estimator.initialization.robust import INLIER_WEIGHT, MEDIAN_FACTOR, robust_weights
 from dronevio.estimator.initialization.views import WindowMeasurements
 from dronevio.estimator.types import FramePacket
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rotation import exp_so3, pose_matrix
 from tests.estimator.initialization.test_dynamic import errors, window_of
@@ -38,7 +39,6 @@ from tests.estimator.initialization.test_dynamic import errors, window_of
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 MakeFlight = Callable[..., "SyntheticFlight"]
 
 BIAS = np.array([0.03, -0.02, 0.08])

@@ -14,11 +14,10 @@ from dronevio.estimator.monitoring.config import HealthConfig
 from dronevio.estimator.monitoring.health import health_report
 from dronevio.estimator.monitoring.monitor import IMAGE_VARIANCES, HealthMonitor
 from dronevio.estimator.types import NO_FEATURES, Calibration, Observations
+from dronevio.models.arrays import Array
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 from dronevio.models.state import Health, HealthReport, NavState
-
-Array = npt.NDArray[np.float64]
 
 RIG = rig_named("euroc-stereo")
 SIGMA_PX = 0.8

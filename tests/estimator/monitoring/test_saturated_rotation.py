@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.imu.buffer import Increments
@@ -18,13 +17,13 @@ from dronevio.estimator.monitoring.saturated_rotation import (
     with_rotation,
 )
 from dronevio.eval.metrics.alignment import align
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3
 from dronevio.models.state import Estimate, Health, Trajectory
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 MakeFlight = Callable[..., "SyntheticFlight"]
 
 FOCAL_PX = 450.0

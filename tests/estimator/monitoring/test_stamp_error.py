@@ -12,6 +12,7 @@ from dronevio.estimator.config import VioConfig
 from dronevio.estimator.monitoring.innovation import Innovation, PredictionUncertainty
 from dronevio.estimator.monitoring.stamp_error import StampConfig, StampCorrection, exposure_error
 from dronevio.eval.metrics.alignment import align
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import cross, exp_so3, pose_matrix
 from dronevio.models.state import Estimate, Health, NavState, Trajectory
 from tests.estimator.conftest import START_NS, SyntheticFrontEnd
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from dronevio.models.state import CameraFrame
     from tests.estimator.conftest import SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
 MakeFlight = Callable[..., "SyntheticFlight"]
 

@@ -26,6 +26,7 @@ from dronevio.estimator.sfm.resection import ResectionObjective
 from dronevio.estimator.slam.places.matching import Correspondences
 from dronevio.estimator.slam.places.relative_pose import RelativePoseConfig, RelativePoseObjective, Views
 from dronevio.estimator.types import Calibration
+from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
@@ -37,7 +38,6 @@ from tests.estimator.initialization.test_robust_start import corrupted, measured
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
 
-Array = npt.NDArray[np.float64]
 MakeFlight = Callable[..., "SyntheticFlight"]
 
 

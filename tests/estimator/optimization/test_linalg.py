@@ -1,12 +1,10 @@
 """Cholesky factorization and Schur complement against dense inverses."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.optimization.linalg import CholeskyFactor, SingularError, schur_complement
-
-Array = npt.NDArray[np.float64]
+from dronevio.models.arrays import Array
 
 
 def system(seed: int, n: int = 12, decades: float = 4.0) -> tuple[Array, Array]:

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.optimization.gauss_newton import gauss_newton
@@ -16,8 +15,8 @@ from dronevio.estimator.optimization.robust import (
     geman_mcclure_loss,
     geman_mcclure_weight,
 )
+from dronevio.models.arrays import Array
 
-Array = npt.NDArray[np.float64]
 SQUARED = np.array([0.0, 0.5, 4.0, 100.0])
 
 

@@ -12,11 +12,11 @@ from dronevio.estimator.array_store import digest
 from dronevio.estimator.sfm.config import FeatureConfig
 from dronevio.estimator.sfm.features import Features
 from dronevio.estimator.sfm.workspace import Workspace
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.rotation import exp_so3, pose_matrix
 
-Array = npt.NDArray[np.float64]
 MakeScene = Callable[..., "SyntheticScene"]
 MakeImages = Callable[..., tuple[ImageSet, Workspace]]
 

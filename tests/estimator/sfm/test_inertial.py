@@ -15,6 +15,7 @@ from dronevio.estimator.sfm.pipeline import reconstruct
 from dronevio.estimator.sfm.placement.inertial import InertialAlignment, align_with_imu
 from dronevio.estimator.sfm.placement.world import WorldFrame, place
 from dronevio.estimator.sfm.tracks import Tracks
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.image_sets import ImageSet, InertialData
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from dronevio.estimator.sfm.workspace import Workspace
     from tests.estimator.sfm.conftest import MakeImages, MakeScene
 
-Array = npt.NDArray[np.float64]
 
 UNIT_M = 2.5
 """Length of a unit of the reconstruction [m]."""

@@ -4,11 +4,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.sfm.model import KnownPoses
 from dronevio.estimator.sfm.pipeline import reconstruct
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import exp_so3
 
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from tests.estimator.sfm.conftest import MakeImages, SyntheticScene
-
-Array = npt.NDArray[np.float64]
 
 
 def noisy_poses(scene: "SyntheticScene", sigma_rad: float, sigma_m: float) -> Array:

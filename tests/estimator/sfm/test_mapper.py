@@ -24,14 +24,13 @@ from dronevio.estimator.sfm.tracks import Tracks, connect_tracks
 from dronevio.estimator.sfm.triangulation import triangulate_tracks
 from dronevio.estimator.sfm.two_view import TwoView, verify, view_of
 from dronevio.eval.metrics.alignment import umeyama
+from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.progress import silent
 from dronevio.models.rotation import exp_so3, log_so3
 
 if TYPE_CHECKING:
     from tests.estimator.sfm.conftest import MakeScene, SyntheticScene
-
-Array = npt.NDArray[np.float64]
 
 
 def measured(scene: "SyntheticScene", camera: CameraModel, is_calibrated: bool) -> tuple[Scene, list[TwoView]]:

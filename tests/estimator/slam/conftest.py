@@ -6,10 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.slam.map.keyframe import KeyframeFeatures, MapKeyframe
+from dronevio.models.arrays import Array
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import exp_so3, inverse_pose, rotation_z
 
-Array = npt.NDArray[np.float64]
 RIG = euroc_rig()
 R_LEVEL = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 """Orientation of EuRoC's IMU on a level vehicle that looks along the world's x axis."""

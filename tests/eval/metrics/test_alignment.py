@@ -3,7 +3,6 @@
 from typing import get_args
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -11,11 +10,11 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from dronevio.eval.metrics import Alignment, AlignmentMode, align, ate, umeyama
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.rotation import exp_so3, rotation_z
 from dronevio.models.state import Trajectory
 
-Array = npt.NDArray[np.float64]
 BY_FREEDOM: tuple[AlignmentMode, ...] = ("none", "yaw", "se3", "sim3")
 """Alignments by least squares, each a special case of the next."""
 

@@ -1,13 +1,11 @@
 """KITTI's scores, worked out by hand."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.eval.metrics.kitti import kitti_scores
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, pose_matrix
-
-Array = npt.NDArray[np.float64]
 
 
 def road(frames: int, turn_deg: float = 0.0, step_m: float = 1.0) -> Array:

@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -21,11 +20,11 @@ from dronevio.eval.metrics.pairs import (
     path_lengths_m,
 )
 from dronevio.eval.metrics.trajectory_errors import default_lengths_m
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.rotation import exp_so3, pose_matrix, quat_wxyz_from_matrix, rotation_z
 from dronevio.models.state import Trajectory
 
-Array = npt.NDArray[np.float64]
 seeds = st.integers(0, 2**32 - 1)
 
 

@@ -13,7 +13,6 @@ import pytest
 from dronevio.eval.benchmark.metrics import METRICS, STORED_METRICS
 from dronevio.eval.benchmark.rows import Row, write_rows
 from dronevio.eval.metrics import Scores, score
-from dronevio.eval.metrics.metric import metrics_of
 from dronevio.models.recordings.tum import write_tum
 from dronevio.models.state import Trajectory
 from tests.rows import row_of
@@ -43,7 +42,7 @@ def get_code(loader, name):
 
 SourceFileLoader.get_code = get_code
 
-from dronevio.cli.evaluate import print_scores
+from dronevio.cli.commands.evaluate import print_scores
 from dronevio.eval.benchmark.metrics import score_columns
 from dronevio.eval.benchmark.rows import Row, read_rows, write_rows
 from dronevio.eval.compare import metric_ratio
@@ -98,7 +97,7 @@ def test_scores_survive_json() -> None:
     assert [name for name, value in asdict(older).items() if value != asdict(scores)[name]] == ["path_m"]
 
 
-def test_every_metric_has_a_unit_in_its_name_and_a_definition() -> None:
+def test_every_metric_has_its_unit_in_its_name() -> None:
     units = {
         "m": "_m",
         "°": "_deg",
@@ -112,8 +111,6 @@ def test_every_metric_has_a_unit_in_its_name_and_a_definition() -> None:
     for metric in METRICS.values():
         ending = "_percent" if metric.unit.startswith("%") else units.get(metric.unit, "")
         assert ending in metric.name, metric.name
-    names = {metric.name for metric in metrics_of(Scores).values()}
-    assert {metric.name for metric in METRICS.values() if not metric.description} == names | {"ate_percent"}
     assert len({metric.heading for metric in METRICS.values()}) == len(METRICS)
     columns = [*Row("", "", None, "", "", "", "ok").columns]
     assert len(set(columns)) == len(columns) == len(fields(Row)) - 1 + len(STORED_METRICS)

@@ -9,10 +9,10 @@ import pytest
 from dronevio.eval.metrics import PairRule, ScoreOptions, errors_by_length, rpe, score, score_trajectory
 from dronevio.eval.metrics.lengths import drifts_m
 from dronevio.eval.metrics.pairs import Source
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix, rotation_z
 from dronevio.models.state import Trajectory
 
-Array = npt.NDArray[np.float64]
 SECOND_NS = 1_000_000_000
 START_NS = 1403715273262142976
 

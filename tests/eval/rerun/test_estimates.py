@@ -20,6 +20,7 @@ from dronevio.eval.rerun.files import write_estimates
 from dronevio.eval.rerun.sink import Sink
 from dronevio.eval.rerun.surroundings import MovingBox, Surroundings
 from dronevio.eval.run import EstimatorRun
+from dronevio.models.arrays import Array
 from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.protocols import Recording
@@ -31,7 +32,6 @@ from dronevio.recording.surroundings import surroundings_of
 if TYPE_CHECKING:
     from tests.eval.conftest import EntityColumns, ReadRrd, SyntheticFlight, VerifyRrd
 
-Array = npt.NDArray[np.float64]
 BLUEPRINT = flight_blueprint(RecordingContents(("x",), 1), np.zeros((0, 3)))
 OURS, OTHER = "ours", "other / 2"
 

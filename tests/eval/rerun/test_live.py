@@ -28,6 +28,7 @@ from dronevio.eval.rerun.live import LiveLog, viewer_log
 from dronevio.eval.rerun.log import ImageLogFactory, RerunLog
 from dronevio.eval.rerun.sink import Sink
 from dronevio.eval.rerun.video import VideoSettings
+from dronevio.models.arrays import Image
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements
 from dronevio.models.state import CameraFrame
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
 
 FrameDone = Callable[[int], None]
 """Function that is called with the index of each frame after it is logged."""
-Image = npt.NDArray[np.uint8]
 ESTIMATE = EstimateEntities("estimate")
 NO_POINTS = np.zeros((0, 3))
 BLUEPRINT = flight_blueprint(RecordingContents(("estimate",), 1), NO_POINTS)

@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.eval.rerun.video import Av1Encoder, VideoSample, VideoSettings
+from dronevio.models.arrays import Image
 
 if TYPE_CHECKING:
     from tests.eval.conftest import DecodeAv1
 
-Image = npt.NDArray[np.uint8]
 RATE_HZ = 20.0
 
 

@@ -6,15 +6,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 from PIL import Image as PillowImage
 
 from dronevio.models import CameraModel, ConfigError, InputError, image_folder
+from dronevio.models.arrays import Image
 from dronevio.models.image_sets.folder import natural_key
 from dronevio.models.image_sets.photos import read_photo, read_photo_header
-
-Image = npt.NDArray[np.uint8]
 
 ORIENTATION = 0x0112
 MODEL = CameraModel(width=32, height=24, fx=30.0, fy=31.0, cx=15.0, cy=12.0)

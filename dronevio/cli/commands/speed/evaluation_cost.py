@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.eval import ate, rpe, score
 from dronevio.models.errors import ConfigError
@@ -22,8 +21,6 @@ from dronevio.models.performance import PerformanceFigure
 from dronevio.models.recordings.kitti import FRAME_NS, write_kitti
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 KITTI_00_POSES = 4541
 """Number of poses in the first sequence of the KITTI odometry benchmark."""

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 import pytest
 from gtsam.symbol_shorthand import X
 
@@ -22,13 +21,12 @@ from dronevio.estimator.slam.map.pose_graph import OptimizedGraph, PoseGraph, fa
 from dronevio.estimator.slam.mapper import Mapper, Recognizer
 from dronevio.estimator.slam.places.localization import KeyframeView
 from dronevio.estimator.slam.places.verification import PlaceMatch
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 from dronevio.models.state import Estimate
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
-
-Array = npt.NDArray[np.float64]
 
 
 def marginal_covariance(graph: PoseGraph, keyframe: int) -> Array:

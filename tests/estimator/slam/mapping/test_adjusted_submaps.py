@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.slam.map.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
@@ -13,12 +12,11 @@ from dronevio.estimator.slam.map.map_frame import frame_change
 from dronevio.estimator.slam.map.odometry_factors import AbsolutePosition, RelativePose, first_node
 from dronevio.estimator.slam.map.pose_graph import ADJUSTED_VARIANCE, optimize
 from dronevio.estimator.slam.map.submap import Adjustment, Submap, path_scale
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import inverse_pose, pose_matrix, rotation_z
 
 if TYPE_CHECKING:
     from tests.estimator.slam.mapping.conftest import OdometryFlight
-
-Array = npt.NDArray[np.float64]
 
 
 KEYFRAMES, ADJUSTED = 50, 40

@@ -22,12 +22,11 @@ from dronevio.estimator.slam.adjustment.bundle_adjustment import (
 )
 from dronevio.estimator.slam.map.odometry_factors import RelativePose
 from dronevio.estimator.slam.map.pose_graph import OptimizedGraph, PoseGraph
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 
 if TYPE_CHECKING:
     from tests.estimator.slam.mapping.conftest import OdometryFlight
-
-Array = npt.NDArray[np.float64]
 
 
 def rmse_m(odometry_flight: "OdometryFlight", adjustment_inputs: AdjustmentInputs, poses: Mapping[int, Array]) -> float:

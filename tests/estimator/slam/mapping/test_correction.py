@@ -4,11 +4,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.correction import Correction
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, pose_matrix, rotation_z
 from dronevio.models.state import NavState
 from tests.estimator.slam.mapping.conftest import NoRecognizer
@@ -16,7 +16,6 @@ from tests.estimator.slam.mapping.conftest import NoRecognizer
 if TYPE_CHECKING:
     from tests.estimator.slam.mapping.conftest import OdometryFlight
 
-Array = npt.NDArray[np.float64]
 
 R_ODOM_IMU = exp_so3(np.array([0.4, -1.1, 0.7]))
 

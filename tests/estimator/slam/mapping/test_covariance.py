@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.slam.map.covariance import UNKNOWN, covariances_of, covariances_with_loops, is_unknown
@@ -15,9 +14,8 @@ from dronevio.estimator.slam.map.odometry_factors import (
     reversed_pose,
 )
 from dronevio.estimator.slam.map.pose_graph import PoseGraph
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, pose_matrix
-
-Array = npt.NDArray[np.float64]
 
 FIRST, STEP, LOOP = 1e-6, 4e-4, 1e-4
 """Variances of the position: of the first keyframe, added by each step, and of a loop [m²]."""

@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
@@ -32,7 +31,6 @@ from tests.estimator.slam.process.conftest import DRIFT_M, PLACES, keyframe, one
 if TYPE_CHECKING:
     from tests.estimator.slam.mapping.conftest import OdometryFlight
 
-Array = npt.NDArray[np.float64]
 
 COUNT, CULLED = 30, 20
 """Number of keyframes of the odometry, and the one that is culled."""

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
@@ -23,12 +22,11 @@ from dronevio.estimator.slam.map.odometry_factors import GravityDirection, Relat
 from dronevio.estimator.slam.map.pose_graph import ADJUSTED_VARIANCE, OptimizedGraph, PoseGraph, factor_graph
 from dronevio.estimator.slam.places.localization import LocalizationConfig
 from dronevio.estimator.types import Calibration
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix
 from dronevio.models.state import NavState
 from tests.estimator.slam.conftest import RIG, pose
-
-Array = npt.NDArray[np.float64]
 
 POSE = LocalizationConfig().pose
 NUMBERS = 0, 1, 2, 9

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.slam.map.keyframe import KeyframeFeatures, MapKeyframe
@@ -16,13 +15,12 @@ from dronevio.estimator.slam.places.localization import (
     Localizer,
     landmark_patches,
 )
+from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix
 
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 RenderWall = Callable[[CameraModel, Array], Image]
 
 WALL_M = 3.0

@@ -1,13 +1,11 @@
 """The choice of the map frame after an optimization."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.slam.map.map_frame import frame_change, with_frame_offset
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix, rotation_z
-
-Array = npt.NDArray[np.float64]
 
 POSES = {
     n: pose_matrix(exp_so3(np.sin([0.7 * n, 1.1 * n, 1.7 * n])), 4.0 * np.sin([0.3 * n, 0.2 * n, 0.9 * n]))

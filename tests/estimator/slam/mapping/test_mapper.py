@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.slam.map.keyframe import NO_KEYFRAME_FEATURES
@@ -12,14 +11,13 @@ from dronevio.estimator.slam.map.map_frame import with_frame_offset
 from dronevio.estimator.slam.map.pose_graph import optimize
 from dronevio.estimator.slam.mapper import Mapper, MappingConfig
 from dronevio.estimator.slam.places.localization import KeyframeView
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import adjoint, inverse_pose
 from tests.estimator.slam.mapping.conftest import NoRecognizer, TrueRecognizer, marginal_covariance
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
     from tests.estimator.slam.mapping.conftest import MappedFlight, OdometryFlight
-
-Array = npt.NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

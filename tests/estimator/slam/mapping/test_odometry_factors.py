@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
@@ -16,10 +15,9 @@ from dronevio.estimator.slam.map.odometry_factors import (
     scaled,
 )
 from dronevio.estimator.slam.map.pose_graph import PoseGraph, joined_graphs, optimize
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import inverse_pose, pose_matrix, rotation_z
 from tests.estimator.slam.mapping.conftest import marginal_covariance
-
-Array = npt.NDArray[np.float64]
 
 NO_LANDMARKS = np.zeros(0, np.int64), np.zeros((0, 3))
 

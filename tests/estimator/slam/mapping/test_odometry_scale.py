@@ -3,15 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentInputs, SavedKeyframes
 from dronevio.estimator.slam.adjustment.odometry_scale import odometry_scale, with_scale_of_odometry
 from dronevio.estimator.slam.map.pose_graph import PoseGraph
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import pose_matrix, rotation_z
-
-Array = npt.NDArray[np.float64]
 
 T_MAP_ODOM = pose_matrix(rotation_z(np.array(0.4)), np.array([2.0, -3.0, 1.0]))
 

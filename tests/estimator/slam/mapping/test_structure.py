@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
@@ -12,13 +11,12 @@ from dronevio.estimator.imu.preintegration import PreintegrationConfig, Preinteg
 from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentConfig, AdjustmentInputs, AdjustmentKeyframe
 from dronevio.estimator.slam.adjustment.structure import MAX_ERROR_PX, map_structure
 from dronevio.estimator.types import Calibration
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import inverse_pose
 from dronevio.models.state import NavState
 from tests.estimator.slam.conftest import pose
-
-Array = npt.NDArray[np.float64]
 
 RIG = rig_named("euroc-stereo")
 NUMBERS = 3, 4, 8, 20

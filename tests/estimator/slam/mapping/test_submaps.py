@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
@@ -17,6 +16,7 @@ from dronevio.estimator.slam.map.submap import Submap
 from dronevio.estimator.slam.mapper import Mapper
 from dronevio.estimator.slam.places.localization import KeyframeView
 from dronevio.estimator.slam.places.verification import PlaceMatch
+from dronevio.models.arrays import Array
 from dronevio.models.map_correction import MapCorrection
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix, rotation_z
 from dronevio.models.state import Trajectory
@@ -25,7 +25,6 @@ from tests.estimator.slam.mapping.conftest import NoRecognizer, TrueRecognizer, 
 if TYPE_CHECKING:
     from tests.estimator.slam.mapping.conftest import OdometryFlight
 
-Array = npt.NDArray[np.float64]
 
 T_SHIFTED_ODOM = pose_matrix(rotation_z(2.0), np.array([30.0, -20.0, 5.0]))
 """Pose of the first odometry frame in that of the second track."""

@@ -2,7 +2,6 @@
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
@@ -11,8 +10,6 @@ from dronevio.estimator.types import Observations
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import rotation_z
 from tests.estimator.slam.conftest import R_LEVEL
-
-Array = npt.NDArray[np.float64]
 
 PLACES, LANDMARKS = 8, 120
 INTERVAL_NS, SECOND_LAP_NS = 250_000_000, 20_000_000_000

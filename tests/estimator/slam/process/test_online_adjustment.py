@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.slam.adjustment.adjuster import AdjustmentOutcome
@@ -23,14 +22,13 @@ from dronevio.estimator.slam.worker.map_builder import (
 )
 from dronevio.estimator.slam.worker.map_process import MapProcess
 from dronevio.estimator.types import Calibration
+from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import NavState
 from tests.estimator.slam.process.conftest import PLACES, keyframe, one_camera
 from tests.estimator.slam.process.test_saved_maps import lap_map
 from tests.estimator.slam.process.test_visual_slam import in_second_frame
-
-Array = npt.NDArray[np.float64]
 
 TURN = exp_so3(np.array([0.2, 0.0, 0.0]))
 """Rotation of all keyframes by the adjustment of these tests. Its axis is horizontal, and the choice of the map frame

@@ -6,10 +6,9 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.slam import visual_slam
+from dronevio.estimator.slam import final_map, visual_slam
 from dronevio.estimator.slam.adjustment.adjuster import AdjustmentOutcome, LocalAdjuster
 from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentConfig, AdjustmentInputs
 from dronevio.estimator.slam.adjustment.final_graph import at_optimum
@@ -21,6 +20,7 @@ from dronevio.estimator.slam.map.pose_graph import ADJUSTED_VARIANCE, optimize
 from dronevio.estimator.slam.map.submap import Adjustment, Submap
 from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.estimator.slam.worker.map_builder import MapBuilder, MarginalizedKeyframe
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig, euroc_rig
@@ -34,8 +34,6 @@ from tests.estimator.slam.process.test_visual_slam import (
     ScriptedOdometry,
     in_second_frame,
 )
-
-Array = npt.NDArray[np.float64]
 
 
 @cache
@@ -168,7 +166,7 @@ def test_a_flight_in_a_loaded_map_is_adjusted_in_the_end(monkeypatch: pytest.Mon
         poses = {n: pose_matrix(T[:3, :3], T[:3, 3] + (n in of_flight) * up) for n, T in inputs.poses.items()}
         return AdjustmentOutcome(poses, "raised")
 
-    monkeypatch.setattr(visual_slam, "solved", raised)
+    monkeypatch.setattr(final_map, "solved", raised)
     slam, _ = fly(monkeypatch, range(PLACES), lap_map(), localize_only=localize_only, with_imu=True)
     final = slam.final_map()
     (inputs,) = started

@@ -5,29 +5,28 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.keyframe_observer import KeyframeObserver, OdometryKeyframe
-from dronevio.estimator.slam import visual_slam
+from dronevio.estimator.slam import final_map, visual_slam
 from dronevio.estimator.slam.adjustment.adjuster import AdjustmentOutcome
 from dronevio.estimator.slam.adjustment.flight_measurements import FlightMeasurements
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.map.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
 from dronevio.estimator.slam.schedule import DelayConfig
 from dronevio.estimator.slam.visual_slam import VisualSlam
+from dronevio.estimator.slam.worker.keyframe_messages import KeyframeMessages
 from dronevio.estimator.slam.worker.map_builder import MarginalizedKeyframe
 from dronevio.estimator.types import Calibration
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import pose_matrix, rotation_z
 from dronevio.models.state import CameraFrame, Estimate, Health, NavState, Trajectory
 from tests.estimator.slam.process.conftest import DRIFT_M, INTERVAL_NS, PLACES, keyframe, one_camera
-
-Array = npt.NDArray[np.float64]
 
 T_SECOND_FIRST = pose_matrix(rotation_z(1.0), np.array([10.0, -20.0, 3.0]))
 """Pose of the first odometry frame in that after the loss."""
@@ -159,7 +158,7 @@ def test_covariance_before_the_first_correction(monkeypatch: pytest.MonkeyPatch)
 def test_final_path_has_the_keyframes_at_their_final_poses(monkeypatch: pytest.MonkeyPatch) -> None:
     """The causal estimates differ from those when the keyframes leave the window, which the map has."""
     monkeypatch.setattr(
-        visual_slam, "solved", lambda inputs, config: AdjustmentOutcome(None, "not used")
+        final_map, "solved", lambda inputs, config: AdjustmentOutcome(None, "not used")
     )  # the pose graph gives the final poses
     causal_error = pose_matrix(np.eye(3), np.array([0.04, 0.0, -0.02]))
     rig = one_camera()
@@ -197,7 +196,7 @@ def test_a_map_without_keyframes_is_not_exported(monkeypatch: pytest.MonkeyPatch
 
 
 def test_keyframes_that_leave_together_have_measurements() -> None:
-    rig, messages = one_camera(), visual_slam._KeyframeMessages(window_s=3.0)
+    rig, messages = one_camera(), KeyframeMessages(window_s=3.0)
     noise = PreintegrationParams.of(rig.imu, PreintegrationConfig())
     pair = [keyframe(rig, place, 0) for place in range(2)]
     for each in pair:
@@ -220,7 +219,7 @@ def test_keyframes_that_leave_together_have_measurements() -> None:
 def test_images_of_keyframes_are_found_by_their_stamps() -> None:
     """The time of a keyframe is that of the clock of the IMU, from which the cameras' clock may differ."""
     rig, known, offset_ns = one_camera(), keyframe(one_camera(), 0, 0), -7_000_000
-    messages, measurements = visual_slam._KeyframeMessages(window_s=3.0), FlightMeasurements(rig.imu)
+    messages, measurements = KeyframeMessages(window_s=3.0), FlightMeasurements(rig.imu)
     noise, t_ns = PreintegrationParams.of(rig.imu, PreintegrationConfig()), known.estimate.t_ns
     messages.add_imu(ImuSamples(np.array([t_ns]), np.zeros((1, 3)), np.zeros((1, 3))))
     messages.begin_frame(CameraFrame(t_ns - offset_ns, known.keyframe.images), noise, has_map_pose=True)
@@ -240,7 +239,7 @@ def test_images_of_keyframes_are_found_by_their_stamps() -> None:
 
 def test_samples_are_kept_from_a_window_before_a_track_on() -> None:
     """Before it, and after a loss, those of the longest window of an initialization suffice; then, all are needed."""
-    rig, messages = one_camera(), visual_slam._KeyframeMessages(window_s=3.0)
+    rig, messages = one_camera(), KeyframeMessages(window_s=3.0)
     noise = PreintegrationParams.of(rig.imu, PreintegrationConfig())
     first = keyframe(rig, 0, 0)
     begin_ns = first.estimate.t_ns - 60 * 10**9
@@ -269,7 +268,7 @@ def test_samples_are_kept_from_a_window_before_a_track_on() -> None:
         assert imu.t_ns[0] == first.estimate.t_ns - 3 * 10**9
         assert imu.t_ns[-1] == first.estimate.t_ns + 20 * 10**9
         np.testing.assert_array_equal(np.diff(imu.t_ns), 10**8)
-        messages = visual_slam._KeyframeMessages(window_s=3.0)
+        messages = KeyframeMessages(window_s=3.0)
         fly(begin_ns, first.estimate.t_ns - 10**8)
         messages.lost()
         fly(first.estimate.t_ns, first.estimate.t_ns)
