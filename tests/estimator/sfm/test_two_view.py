@@ -59,7 +59,7 @@ def test_ambiguous_features_are_not_matched(scene: "SyntheticScene") -> None:
 
 
 def test_a_stricter_ratio_leaves_fewer_matches(scene: "SyntheticScene") -> None:
-    first, second = scene.features[0], scene.features[1]
+    first, second = scene.features[:2]
     counts = [len(match_features(first, second, MatchingConfig(ratio=ratio))) for ratio in (0.01, 0.8)]
     assert counts[0] < counts[1]
 
