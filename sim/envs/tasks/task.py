@@ -164,6 +164,7 @@ AnyTask = Task[Any]
 """A task with goals of any type."""
 
 
+@dataclass(frozen=True)
 class TaskSettings(Settings):
     """Base of tasks: what most of them have in common."""
 
