@@ -29,6 +29,7 @@ MAX_COORDINATE_PX = 1e4  # outside any image, within the range of cv2.remap
 NOISE_ROW_STRIDE = 16  # every sixteenth row suffices to estimate the noise of an image
 MEDIAN_OVER_SIGMA = 0.6745  # median of the absolute value of a standard normal variable
 WALK_S = 0.05  # time of the random walk to which `PatchConfig.warp_sigma` refers [s]
+BLURRED_NOISE_RATIO = 0.65  # standard deviation of the image noise after the blur relative to that before
 MIN_NORM = 1e-3  # smallest norm of a patch [grey levels], so that uniform patches cause no division by zero
 
 
@@ -56,8 +57,6 @@ class PatchConfig(Settings):
     min_zncc: Annotated[float, Range(-1.0, 1.0)] = 0.9
     """Smallest ZNCC (zero-mean normalized cross-correlation) of a successful alignment, before the allowance for image
     noise; a partly occluded patch has less."""
-    blurred_noise_ratio: Annotated[float, Range(above=0.0, high=1.0)] = 0.65
-    """Ratio of the standard deviation of the image noise after the blur to that before."""
     noise_threshold: Annotated[float, Range(low=0.0, infinite=True)] = 6.0
     """Standard deviation of the image noise above which `noisy_blur_px` replaces `blur_px` [grey levels]."""
     noisy_blur_px: Annotated[float, Range(0.0, 10.0)] = 1.0
@@ -233,7 +232,7 @@ class PatchAligner:
         # Correlation and scale decide whether the alignment has succeeded
         zncc = np.sum(current * values, axis=1).astype(np.float64)
         scale_squared = _determinant(warp)
-        noise_loss = (c.blurred_noise_ratio * image.noise * c.side_px / norm) ** 2  # of correlation
+        noise_loss = (BLURRED_NOISE_RATIO * image.noise * c.side_px / norm) ** 2  # of correlation
         valid = (zncc > c.min_zncc - noise_loss) & (scale_squared > c.max_scale**-2) & (scale_squared < c.max_scale**2)
         return PatchAlignment(pixels, replace(patches, warp=warp), zncc, valid & np.isfinite(pixels).all(axis=1))
 

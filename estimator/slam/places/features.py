@@ -40,6 +40,7 @@ BLOCK_PX = 3  # side of the block over which gradients are summed, at half resol
 PATCH_PX = 31.0  # side of the neighbourhood that a descriptor compares; it also keeps as far from the border
 DIRECTION_STEP = 1e-3  # length of the step along gravity whose projection is the direction at a corner
 DOWN = np.array([0.0, 0.0, -1.0])
+MIN_VERTICAL_DEG = 5.0  # smallest angle between bearing and vertical at which gravity defines a direction
 
 
 @dataclass(frozen=True)
@@ -54,8 +55,6 @@ class PlaceFeatureConfig(Settings):
     """Smallest distance between two corners in each direction, and between a corner and a tracked feature [px]."""
     min_score: Annotated[float, Range(low=0.0)] = 4e-5
     """Smallest accepted eigenvalue of the gradient matrix, for grey levels scaled to [0, 1]."""
-    min_vertical_deg: Annotated[float, Range(0.0, 45.0)] = 5.0
-    """Smallest angle between the bearing of a corner and the vertical [°], at which gravity defines a direction."""
 
 
 class PlaceFeatureExtractor:
@@ -114,7 +113,7 @@ class PlaceFeatureExtractor:
         landmark = np.concatenate([ids, np.full(len(extra), -1, np.int64)])
         xy = camera.model.normalize(pixels)
         down_cam = down_imu @ camera.T_imu_cam[:3, :3]
-        angles, is_defined = gravity_angles(camera.model, xy, down_cam, np.radians(self._config.min_vertical_deg))
+        angles, is_defined = gravity_angles(camera.model, xy, down_cam, np.radians(MIN_VERTICAL_DEG))
         pixels, xy, landmark, angles = pixels[is_defined], xy[is_defined], landmark[is_defined], angles[is_defined]
         rows, descriptors = self._describe(image, camera.model, pixels, angles)
         return KeyframeFeatures(
