@@ -18,13 +18,6 @@ import numpy.typing as npt
 import tyro
 from measuring import NO_POSE, ChangedRecording, frames_of, odometry, opened, print_rows, section_of
 
-from dronevio.estimator.initialization.not_observable import (
-    ACCEL_DISAGREES,
-    FORCE_IS_NOT_GRAVITY,
-    MOTION_DISAGREES,
-    ROTATION_DISAGREES,
-    SENSORS_SWAPPED,
-)
 from dronevio.estimator.monitoring.causes import Cause
 from dronevio.estimator.output import REPEATED_IMAGES
 from dronevio.eval.metrics.association import interpolate
@@ -120,30 +113,30 @@ def swapped(recording: ChangedRecording, _: Recording) -> ChangedRecording:
 _EYE, _SWAPPED_AXES = np.eye(3), np.eye(3)[[1, 0, 2]]
 FAULTS: Mapping[str, tuple[Change, tuple[str, ...]]] = {
     "none": (lambda recording, _: recording, ()),
-    "crossed-flights": (crossed, (ROTATION_DISAGREES,)),
-    "imu-late": (late, (ROTATION_DISAGREES, Cause.IMPLAUSIBLE_CALIBRATION)),
-    "reversed-images": (of_order(lambda index, count: count - 1 - index), (ROTATION_DISAGREES,)),
+    "crossed-flights": (crossed, (Cause.ROTATION_DISAGREES,)),
+    "imu-late": (late, (Cause.ROTATION_DISAGREES, Cause.IMPLAUSIBLE_CALIBRATION)),
+    "reversed-images": (of_order(lambda index, count: count - 1 - index), (Cause.ROTATION_DISAGREES,)),
     "mirrored-images": (
         of_images(lambda image: np.ascontiguousarray(image[:, ::-1])),
-        (ROTATION_DISAGREES, *CALIBRATION_DISAGREES),
+        (Cause.ROTATION_DISAGREES, *CALIBRATION_DISAGREES),
     ),
     "frozen-images": (of_order(lambda index, count: min(index, count // 2)), (REPEATED_IMAGES,)),
     "wrong-lens-model": (
         of_cameras(lambda c: replace(c, model=replace(c.model, distortion=(0.0, 0.0, 0.0, 0.0)))),
-        (ROTATION_DISAGREES, ACCEL_DISAGREES, *CALIBRATION_DISAGREES),
+        (Cause.ROTATION_DISAGREES, Cause.ACCEL_DISAGREES, *CALIBRATION_DISAGREES),
     ),
-    "extrinsics-20-degrees": (turned(20.0, (1.0, 1.0, 1.0)), (ROTATION_DISAGREES, *CALIBRATION_DISAGREES)),
-    "extrinsics-90-degrees": (turned(90.0, (0.0, 0.0, 1.0)), (ROTATION_DISAGREES, *CALIBRATION_DISAGREES)),
+    "extrinsics-20-degrees": (turned(20.0, (1.0, 1.0, 1.0)), (Cause.ROTATION_DISAGREES, *CALIBRATION_DISAGREES)),
+    "extrinsics-90-degrees": (turned(90.0, (0.0, 0.0, 1.0)), (Cause.ROTATION_DISAGREES, *CALIBRATION_DISAGREES)),
     "swapped-cameras": (swapped, CALIBRATION_DISAGREES),
     "focal-length-20-percent": (
         of_cameras(lambda c: replace(c, model=replace(c.model, fx=1.2 * c.model.fx, fy=1.2 * c.model.fy))),
-        (ROTATION_DISAGREES, *CALIBRATION_DISAGREES),
+        (Cause.ROTATION_DISAGREES, *CALIBRATION_DISAGREES),
     ),
-    "accelerometer-in-g": (of_imu(_EYE, _EYE / GRAVITY_M_S2), (FORCE_IS_NOT_GRAVITY,)),
-    "gyroscope-in-degrees": (of_imu(np.degrees(1.0) * _EYE, _EYE), (ROTATION_DISAGREES,)),
-    "gyroscope-axes": (of_imu(_SWAPPED_AXES, _EYE), (ROTATION_DISAGREES,)),
-    "swapped-sensors": (exchanged, (SENSORS_SWAPPED,)),
-    "accelerometer-axes": (of_imu(_EYE, _SWAPPED_AXES), (ACCEL_DISAGREES,)),
+    "accelerometer-in-g": (of_imu(_EYE, _EYE / GRAVITY_M_S2), (Cause.FORCE_IS_NOT_GRAVITY,)),
+    "gyroscope-in-degrees": (of_imu(np.degrees(1.0) * _EYE, _EYE), (Cause.ROTATION_DISAGREES,)),
+    "gyroscope-axes": (of_imu(_SWAPPED_AXES, _EYE), (Cause.ROTATION_DISAGREES,)),
+    "swapped-sensors": (exchanged, (Cause.SENSORS_SWAPPED,)),
+    "accelerometer-axes": (of_imu(_EYE, _SWAPPED_AXES), (Cause.ACCEL_DISAGREES,)),
 }
 """Faults by name, each with the texts of the causes that the odometry may state."""
 
@@ -178,7 +171,7 @@ def late_notice_s(run: EstimatorRun, truth: Trajectory) -> float | None:
 def row_of(name: str, run: EstimatorRun, truth: Trajectory) -> dict[str, str]:
     """Return the row of a fault: frames by health, whether it was noticed in time, and whether its cause is stated."""
     causes, warnings, wrong_s = FAULTS[name][1], [text for _, text in run.warnings], late_notice_s(run, truth)
-    stated = [text for text in warnings if not text.startswith("lost: ") and MOTION_DISAGREES not in text]
+    stated = [text for text in warnings if not text.startswith("lost: ") and Cause.MOTION_DISAGREES not in text]
     is_right = all(any(cause in text for cause in causes) for text in stated)
     return {
         "fault": name,

@@ -1,7 +1,7 @@
 """The output of the odometry: estimates with their events, withheld until they are certain enough."""
 
 from dronevio.estimator.initialization.initializer import InitializerConfig, not_ready_reason
-from dronevio.estimator.initialization.not_observable import ACCEL_DISAGREES, ROTATION_DISAGREES, NotObservable
+from dronevio.estimator.initialization.not_observable import NotObservable
 from dronevio.estimator.monitoring.causes import Cause, Reason
 from dronevio.estimator.monitoring.config import HealthConfig
 from dronevio.estimator.monitoring.health import Assessment, health_report, report_of
@@ -42,8 +42,8 @@ class Publisher:
         self._waiting = Health.INITIALIZING  # the health of an estimate without a state
         self._is_publishing = False
         self._ready_ns: int | None = None  # time of the first state that is certain enough
-        self._cause: tuple[str, int] = ("", 0)  # what prevents the initialization, and its first time [ns]
-        self._stated_causes: frozenset[str] = frozenset()
+        self._cause: tuple[Cause | None, int] = (None, 0)  # what prevents the initialization, and its first time [ns]
+        self._stated_causes: frozenset[Cause] = frozenset()
         self._is_noise_stated = False
         self._sensors = SensorEvents(imu_rate_hz)
 
@@ -54,7 +54,7 @@ class Publisher:
 
     def withdraw_causes(self) -> None:
         """Withdraw the causes that have been stated, because another one has been found and removed."""
-        self._cause, self._stated_causes = ("", 0), frozenset()
+        self._cause, self._stated_causes = (None, 0), frozenset()
 
     def estimate(
         self,
@@ -80,7 +80,7 @@ class Publisher:
                 return self.without_state(packet, _not_observable(uncertain), report)
             if self._is_contradicted(packet.t_ns, report):
                 return self.without_state(packet, Reason.of(Cause.CONTRADICTION), report)
-            self._is_publishing, self._cause = True, ("", 0)
+            self._is_publishing, self._cause = True, (None, 0)
             events = ("initialized" if self._waiting is Health.INITIALIZING else "recovered", *events)
         events = (*events, *self._sensors.of(packet), *self._noise_events(assessment))
         tracks = _feature_tracks(packet.observations)
@@ -121,15 +121,15 @@ class Publisher:
         self._is_noise_stated = True
         return (f"probable cause: {Cause.EXCESSIVE_NOISE}",)
 
-    def _cause_events(self, t_ns: int, cause: str) -> tuple[str, ...]:
+    def _cause_events(self, t_ns: int, cause: Cause | None) -> tuple[str, ...]:
         """Return an event where the same cause has prevented the initialization for some time; one for each cause."""
         known, since_ns = self._cause
-        if cause and cause != known:
+        if cause is not None and cause is not known:
             self._cause = (cause, t_ns)
             return ()
-        if not cause or cause in self._stated_causes or t_ns - since_ns < MIN_CAUSE_NS:
+        if cause is None or cause in self._stated_causes or t_ns - since_ns < MIN_CAUSE_NS:
             return ()
-        if cause == ACCEL_DISAGREES and ROTATION_DISAGREES in self._stated_causes:
+        if cause is Cause.ACCEL_DISAGREES and Cause.ROTATION_DISAGREES in self._stated_causes:
             return ()  # it presumes that the gyroscope agrees with the images
         self._stated_causes |= {cause}
         return (f"probable cause: {cause}",)
@@ -182,7 +182,7 @@ class SensorEvents:
 
 def _not_observable(obstacle: NotObservable) -> Reason:
     """Return what prevents an initialization as the reason of an estimate without a state."""
-    return Reason.of(Cause.NOT_OBSERVABLE, reason=str(obstacle))
+    return Reason(obstacle.cause or Cause.NOT_OBSERVABLE, str(obstacle))
 
 
 def _feature_tracks(observations: Observations) -> FeatureTracks:

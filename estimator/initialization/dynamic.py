@@ -20,10 +20,6 @@ from dronevio.estimator.initialization.closed_form import MIN_START_DEPTH_M, Noi
 from dronevio.estimator.initialization.gauge import BiasPrior
 from dronevio.estimator.initialization.gyro_bias import EpipolarSolution, epipolar_gyro_bias
 from dronevio.estimator.initialization.not_observable import (
-    ACCEL_DISAGREES,
-    CLOCKS_DISAGREE,
-    MOTION_DISAGREES,
-    ROTATION_DISAGREES,
     NotObservable,
     implausible_imu,
     rounded_down,
@@ -32,6 +28,7 @@ from dronevio.estimator.initialization.not_observable import (
 from dronevio.estimator.initialization.refinement import RefinedState, refine
 from dronevio.estimator.initialization.static import level_rotation
 from dronevio.estimator.initialization.views import Motion, WindowMeasurements
+from dronevio.estimator.monitoring.causes import Cause
 from dronevio.estimator.types import FramePacket
 from dronevio.models.arrays import Array, Integers
 from dronevio.models.imu import GRAVITY_M_S2
@@ -187,13 +184,13 @@ def _evidence_of_time_offset(free: RefinedState) -> NotObservable | None:
         return None
     return NotObservable(
         f"a time offset of camera and IMU of {1e3 * offset_s:+.0f} ± {1e3 * sigma_s:.0f} ms explains them much better",
-        CLOCKS_DISAGREE,
+        Cause.CLOCKS_DISAGREE,
     )
 
 
 def probable_cause(
     rotation: EpipolarSolution, angular_velocity_rad_s: float, config: DynamicInitializationConfig
-) -> str:
+) -> Cause:
     """Return the probable cause where the landmarks disagree with the IMU.
 
     Args:
@@ -203,14 +200,14 @@ def probable_cause(
     """
     c = config
     if rotation.residual_sigmas > c.max_rotation_residual_sigmas or rotation.bias_sigmas > c.max_gyro_bias_sigmas:
-        return ROTATION_DISAGREES
+        return Cause.ROTATION_DISAGREES
     rotates, agrees = angular_velocity_rad_s > c.min_rotation_rad_s, 2.0 * rotation.bias_sigmas < c.max_gyro_bias_sigmas
-    return ACCEL_DISAGREES if rotates and agrees else MOTION_DISAGREES
+    return Cause.ACCEL_DISAGREES if rotates and agrees else Cause.MOTION_DISAGREES
 
 
 def _reason_against(
     refined: RefinedState,
-    cause: str,
+    cause: Cause,
     motion: Motion,
     stereo: bool,
     accel_bias_sigma_m_s2: float,

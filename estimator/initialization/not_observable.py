@@ -5,32 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dronevio.estimator.monitoring.causes import Cause
 from dronevio.models.arrays import Array
 
-ROTATION_DISAGREES = (
-    "gyroscope and images disagree about the rotation: check the camera-IMU extrinsics, the lens model, the axes and "
-    "units of the gyroscope, and the time stamps"
-)
-"""Cause of a failed initialization where no plausible gyroscope bias explains the epipolar geometry."""
-ACCEL_DISAGREES = (
-    "accelerometer and images disagree about the translation: check the axes and units of the accelerometer, and the "
-    "lens model, or most of what is visible moves"
-)
-"""Cause of a failed initialization where the gyroscope agrees with the images during rotations."""
-MOTION_DISAGREES = (
-    "IMU and images disagree: check the camera-IMU extrinsics, the lens model, the axes and units of the IMU, and the "
-    "time stamps, or most of what is visible moves"
-)
-"""Cause of a failed initialization where the rotations are too slow to tell gyroscope from accelerometer."""
-CLOCKS_DISAGREE = "the clocks of camera and IMU disagree: check the time stamps, and the time offset of the calibration"
-"""Cause of a failed initialization where another time offset explains images and IMU much better."""
-FORCE_IS_NOT_GRAVITY = "the specific force is not that of gravity: check the units of the accelerometer"
-"""Cause of a failed initialization where the accelerometer cannot measure m/s²."""
-SENSORS_SWAPPED = (
-    "the gyroscope reads what an accelerometer should, and the reverse: they are probably swapped; check the order of "
-    "the IMU's columns, or its topics"
-)
-"""Cause of a failed initialization where the gyroscope measures a constant magnitude, that of gravity."""
 MAX_GRAVITY_RATIO = 2.5
 """Largest plausible ratio, in either direction, of the median specific force during an initialization to gravity."""
 MAX_GRAVITY_SPREAD = 0.3
@@ -44,11 +21,11 @@ class NotObservable:
 
     reason: str
     """The reason, as a text for people."""
-    cause: str = ""
-    """The probable cause, where measurements disagree with each other."""
+    cause: Cause | None = None
+    """The probable cause, where measurements disagree with each other; None where they agree."""
 
     def __str__(self) -> str:
-        return "; ".join(filter(None, (f"not observable yet: {self.reason}", self.cause)))
+        return f"not observable yet: {self.reason}" + ("" if self.cause is None else f"; {self.cause}")
 
 
 def too_short(span_s: float, static_s: float, dynamic_s: float) -> NotObservable:
@@ -95,8 +72,8 @@ def implausible_imu(gyro_rad_s: Array, accel_m_s2: Array, gravity_m_s2: float) -
     low, rate, high = np.quantile(np.linalg.norm(gyro_rad_s, axis=1), [0.25, 0.5, 0.75]).tolist()
     if force_m_s2 < gravity_m_s2 and _is_about(rate, gravity_m_s2) and high - low < MAX_GRAVITY_SPREAD * rate:
         reason = f"a median specific force of {force_m_s2:.2f} m/s², {expected}, at a constant {rate:.2f} rad/s"
-        return NotObservable(reason, SENSORS_SWAPPED)
-    return NotObservable(f"a median specific force of {force_m_s2:.2f} m/s², {expected}", FORCE_IS_NOT_GRAVITY)
+        return NotObservable(reason, Cause.SENSORS_SWAPPED)
+    return NotObservable(f"a median specific force of {force_m_s2:.2f} m/s², {expected}", Cause.FORCE_IS_NOT_GRAVITY)
 
 
 def _is_about(value: float, gravity_m_s2: float) -> bool:

@@ -45,6 +45,34 @@ class Cause(StrEnum):
     NOT_OBSERVABLE = "{reason}"
     CONTRADICTION = "not observable yet: images and IMU contradict each other; rotation shows whether clocks differ"
 
+    # Probable causes of failed initializations
+    ROTATION_DISAGREES = (
+        "gyroscope and images disagree about the rotation: check the camera-IMU extrinsics, the lens model, the axes"
+        " and units of the gyroscope, and the time stamps"
+    )
+    """Where no plausible gyroscope bias explains the epipolar geometry."""
+    ACCEL_DISAGREES = (
+        "accelerometer and images disagree about the translation: check the axes and units of the accelerometer, and"
+        " the lens model, or most of what is visible moves"
+    )
+    """Where the gyroscope agrees with the images during rotations."""
+    MOTION_DISAGREES = (
+        "IMU and images disagree: check the camera-IMU extrinsics, the lens model, the axes and units of the IMU, and"
+        " the time stamps, or most of what is visible moves"
+    )
+    """Where the rotations are too slow to tell gyroscope from accelerometer."""
+    CLOCKS_DISAGREE = (
+        "the clocks of camera and IMU disagree: check the time stamps, and the time offset of the calibration"
+    )
+    """Where another time offset explains images and IMU much better."""
+    FORCE_IS_NOT_GRAVITY = "the specific force is not that of gravity: check the units of the accelerometer"
+    """Where the accelerometer cannot measure m/s²."""
+    SENSORS_SWAPPED = (
+        "the gyroscope reads what an accelerometer should, and the reverse: they are probably swapped; check the order"
+        " of the IMU's columns, or its topics"
+    )
+    """Where the gyroscope measures a constant magnitude, that of gravity."""
+
 
 @dataclass(frozen=True)
 class Reason:

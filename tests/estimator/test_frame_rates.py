@@ -12,7 +12,7 @@ import pytest
 from dronevio.estimator.baselines.dead_reckoning import preintegrate
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.buffer import ImuBuffer
-from dronevio.estimator.initialization.not_observable import SENSORS_SWAPPED
+from dronevio.estimator.monitoring.causes import Cause
 from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.types import Matches, Observations
 from dronevio.estimators.driver import estimate_recording
@@ -203,6 +203,6 @@ def test_swapped_sensors_are_named(data_folder: Path, similarity: Any) -> None:
     part = similarity.part_of(recording, np.arange(54))
     imu = replace(part.imu, gyro_rad_s=part.imu.accel_m_s2, accel_m_s2=part.imu.gyro_rad_s)
     run = estimate_recording(replace(part, imu=imu), VisualInertialOdometry(part.rig))
-    assert [text for _, text in run.warnings] == [f"probable cause: {SENSORS_SWAPPED}"]
+    assert [text for _, text in run.warnings] == [f"probable cause: {Cause.SENSORS_SWAPPED}"]
     report = run.estimates[-1].health_report
-    assert report is not None and SENSORS_SWAPPED in report.reason and "units" not in report.reason
+    assert report is not None and Cause.SENSORS_SWAPPED in report.reason and "units" not in report.reason

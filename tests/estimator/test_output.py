@@ -6,7 +6,7 @@ import numpy as np
 
 from dronevio.estimator.imu.buffer import NO_INCREMENTS, Increments
 from dronevio.estimator.initialization.initializer import InitializerConfig
-from dronevio.estimator.initialization.not_observable import ACCEL_DISAGREES, ROTATION_DISAGREES, NotObservable
+from dronevio.estimator.initialization.not_observable import NotObservable
 from dronevio.estimator.monitoring.causes import Cause, Reason
 from dronevio.estimator.monitoring.config import HealthConfig
 from dronevio.estimator.monitoring.health import Assessment
@@ -110,19 +110,23 @@ def test_repeated_images_and_outliers_are_stated() -> None:
 def test_cause_that_lasts_is_stated_once_for_each_cause() -> None:
     publisher, second = new_publisher(), 1_000_000_000
 
-    def events_at(t_s: float, cause: str) -> tuple[str, ...]:
+    def events_at(t_s: float, cause: Cause | None) -> tuple[str, ...]:
         at = replace(packet(), t_ns=round(t_s * second))
         return publisher.not_initialized(at, NotObservable("60% of the landmarks disagree", cause)).events
 
-    a, b = ("probable cause: axes",), ("probable cause: units",)
-    given = [(0.0, "axes"), (0.9, "axes"), (1.0, ""), (1.1, "axes"), (1.2, "axes"), (1.3, "units"), (2.2, "units")]
+    axes, units = Cause.ROTATION_DISAGREES, Cause.FORCE_IS_NOT_GRAVITY
+    a, b = (f"probable cause: {axes}",), (f"probable cause: {units}",)
+    given = [(0.0, axes), (0.9, axes), (1.0, None), (1.1, axes), (1.2, axes), (1.3, units), (2.2, units)]
     assert [events_at(*each) for each in given] == [(), (), (), a, (), (), ()]
-    assert (events_at(2.3, "units"), events_at(9.0, "units")) == (b, ())
+    assert (events_at(2.3, units), events_at(9.0, units)) == (b, ())
 
 
 def test_accelerometer_is_not_stated_after_the_gyroscope() -> None:
     """That the accelerometer disagrees presumes that the gyroscope agrees; in the other order, both are stated."""
-    for causes, count in (((ROTATION_DISAGREES, ACCEL_DISAGREES), 1), ((ACCEL_DISAGREES, ROTATION_DISAGREES), 2)):
+    for causes, count in (
+        ((Cause.ROTATION_DISAGREES, Cause.ACCEL_DISAGREES), 1),
+        ((Cause.ACCEL_DISAGREES, Cause.ROTATION_DISAGREES), 2),
+    ):
         publisher, events = new_publisher(), list[str]()
         for k in range(8):
             at = replace(packet(), t_ns=k * MIN_CAUSE_NS)
@@ -131,12 +135,15 @@ def test_accelerometer_is_not_stated_after_the_gyroscope() -> None:
 
 
 def test_cause_does_not_last_over_an_initialization() -> None:
-    publisher, obstacle = new_publisher(), NotObservable("60% of the landmarks disagree", "axes")
+    publisher, obstacle = new_publisher(), NotObservable("60% of the landmarks disagree", Cause.ACCEL_DISAGREES)
     assert publisher.not_initialized(packet(), obstacle).events == ()
     publisher.estimate(packet(), state(0.0), TRACKED)
     later = [replace(packet(), t_ns=t_ns) for t_ns in (2 * MIN_CAUSE_NS, 3 * MIN_CAUSE_NS)]
-    assert [publisher.not_initialized(each, obstacle).events for each in later] == [(), ("probable cause: axes",)]
-    assert str(obstacle) == "not observable yet: 60% of the landmarks disagree; axes"
+    assert [publisher.not_initialized(each, obstacle).events for each in later] == [
+        (),
+        (f"probable cause: {Cause.ACCEL_DISAGREES}",),
+    ]
+    assert str(obstacle) == f"not observable yet: 60% of the landmarks disagree; {Cause.ACCEL_DISAGREES}"
 
 
 def test_an_imu_gap_is_reported_at_its_begin_and_end() -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from dronevio.estimator.initialization.not_observable import ROTATION_DISAGREES
+from dronevio.estimator.monitoring.causes import Cause
 from dronevio.estimator.output import REPEATED_IMAGES
 from dronevio.eval.run import EstimatorRun, tracks_of
 from dronevio.models.errors import EvaluationError
@@ -73,12 +73,12 @@ def test_innovations_are_percentiles_over_frames(flight: "SyntheticFlight") -> N
 
 def test_losses_and_contradictions_are_warnings(flight: "SyntheticFlight") -> None:
     first, second, *rest = flight.run.estimates
-    lost = replace(first, events=("keyframe", "lost: a speed of 90 m/s", f"probable cause: {ROTATION_DISAGREES}"))
+    lost = replace(first, events=("keyframe", "lost: a speed of 90 m/s", f"probable cause: {Cause.ROTATION_DISAGREES}"))
     repeated = replace(second, events=("recovered", REPEATED_IMAGES, "camera 1 contradicts its calibration"))
     run = replace(flight.run, estimates=(lost, repeated, *(replace(e, events=("initialized",)) for e in rest)))
     assert run.warnings == (
         (first.t_ns, "lost: a speed of 90 m/s"),
-        (first.t_ns, f"probable cause: {ROTATION_DISAGREES}"),
+        (first.t_ns, f"probable cause: {Cause.ROTATION_DISAGREES}"),
         (second.t_ns, REPEATED_IMAGES),
         (second.t_ns, "camera 1 contradicts its calibration"),
     )

@@ -20,8 +20,9 @@ from dronevio.estimator.initialization import initializer as module
 from dronevio.estimator.initialization.dynamic import initialize_dynamic
 from dronevio.estimator.initialization.gauge import Gauge, LastPublished, WorldOrigin
 from dronevio.estimator.initialization.initializer import Initializer, InitializerConfig
-from dronevio.estimator.initialization.not_observable import CLOCKS_DISAGREE, FORCE_IS_NOT_GRAVITY, NotObservable
+from dronevio.estimator.initialization.not_observable import NotObservable
 from dronevio.estimator.initialization.views import collect_tracks
+from dronevio.estimator.monitoring.causes import Cause
 from dronevio.estimator.types import NO_FEATURES, Calibration, FramePacket, Matches, Observations
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rig import Rig
@@ -133,7 +134,7 @@ def test_accelerometer_in_other_units_is_refused(
     if plausible:
         assert not isinstance(result, NotObservable) or not result.cause
     else:
-        assert isinstance(result, NotObservable) and result.cause == FORCE_IS_NOT_GRAVITY
+        assert isinstance(result, NotObservable) and result.cause == Cause.FORCE_IS_NOT_GRAVITY
         assert "m/s², where about 9.81 is expected" in result.reason
 
 
@@ -290,7 +291,7 @@ def test_a_start_of_two_cameras_tells_another_time_offset(make_flight: MakeFligh
         assert first_s == pytest.approx(CONFIG.dynamic.stereo_window_s)
         return
     assert first_s == pytest.approx(CONFIG.longest_window_s, abs=CONFIG.dynamic.attempt_interval_s + FRAME_S)
-    assert refused[0].cause == CLOCKS_DISAGREE and initializer.is_contradicted  # so that the search begins
+    assert refused[0].cause == Cause.CLOCKS_DISAGREE and initializer.is_contradicted  # so that the search begins
     found = re.search(r"([+-]\d+) ± \d+ ms", refused[0].reason)
     assert found is not None and abs(float(found[1]) - 1e3 * offset_s) <= 2.0
 

@@ -19,17 +19,11 @@ from dronevio.estimator.initialization.dynamic import (
 )
 from dronevio.estimator.initialization.gauge import BiasPrior
 from dronevio.estimator.initialization.gyro_bias import EpipolarSolution, epipolar_gyro_bias
-from dronevio.estimator.initialization.not_observable import (
-    ACCEL_DISAGREES,
-    FORCE_IS_NOT_GRAVITY,
-    MOTION_DISAGREES,
-    ROTATION_DISAGREES,
-    SENSORS_SWAPPED,
-    NotObservable,
-)
+from dronevio.estimator.initialization.not_observable import NotObservable
 from dronevio.estimator.initialization.refinement import refine
 from dronevio.estimator.initialization.robust import INLIER_WEIGHT, MEDIAN_FACTOR, robust_weights
 from dronevio.estimator.initialization.views import WindowMeasurements
+from dronevio.estimator.monitoring.causes import Cause
 from dronevio.estimator.types import FramePacket
 from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2
@@ -185,12 +179,12 @@ def scaled(window: list[FramePacket], gyro: Array, accel: Array) -> list[FramePa
 
 EYE, SWAPPED = np.eye(3), np.eye(3)[[1, 0, 2]]
 MISTAKES = {
-    "gyroscope in degrees": (np.degrees(1.0) * EYE, EYE, 0.0, ROTATION_DISAGREES),
-    "axes of the gyroscope": (SWAPPED, EYE, 0.0, ROTATION_DISAGREES),
-    "extrinsics": (EYE, EYE, 90.0, ROTATION_DISAGREES),
-    "axes of the accelerometer": (EYE, SWAPPED, 0.0, ACCEL_DISAGREES),
-    "accelerometer in g": (EYE, EYE / GRAVITY_M_S2, 0.0, FORCE_IS_NOT_GRAVITY),
-    "both in other units": (np.degrees(1.0) * EYE, EYE / GRAVITY_M_S2, 0.0, FORCE_IS_NOT_GRAVITY),
+    "gyroscope in degrees": (np.degrees(1.0) * EYE, EYE, 0.0, Cause.ROTATION_DISAGREES),
+    "axes of the gyroscope": (SWAPPED, EYE, 0.0, Cause.ROTATION_DISAGREES),
+    "extrinsics": (EYE, EYE, 90.0, Cause.ROTATION_DISAGREES),
+    "axes of the accelerometer": (EYE, SWAPPED, 0.0, Cause.ACCEL_DISAGREES),
+    "accelerometer in g": (EYE, EYE / GRAVITY_M_S2, 0.0, Cause.FORCE_IS_NOT_GRAVITY),
+    "both in other units": (np.degrees(1.0) * EYE, EYE / GRAVITY_M_S2, 0.0, Cause.FORCE_IS_NOT_GRAVITY),
 }
 
 
@@ -220,18 +214,18 @@ def test_swapped_sensors_are_recognized(make_flight: MakeFlight, seed: int) -> N
     found = initialize_dynamic(
         swapped, turned(flight, 0.0), focal_px, DynamicInitializationConfig(), UNKNOWN, UNKNOWN_ACCEL
     )
-    assert isinstance(found, NotObservable) and found.cause == SENSORS_SWAPPED
+    assert isinstance(found, NotObservable) and found.cause == Cause.SENSORS_SWAPPED
     assert "units" not in str(found)
 
 
 @pytest.mark.parametrize(
     ("residual_sigmas", "bias_sigmas", "rotation_rad_s", "cause"),
     [
-        (0.8, 0.0, 0.0, ROTATION_DISAGREES),
-        (0.1, 6.1, 0.0, ROTATION_DISAGREES),
-        (0.7, 2.9, 0.21, ACCEL_DISAGREES),
-        (0.7, 3.1, 0.21, MOTION_DISAGREES),
-        (0.1, 0.0, 0.19, MOTION_DISAGREES),
+        (0.8, 0.0, 0.0, Cause.ROTATION_DISAGREES),
+        (0.1, 6.1, 0.0, Cause.ROTATION_DISAGREES),
+        (0.7, 2.9, 0.21, Cause.ACCEL_DISAGREES),
+        (0.7, 3.1, 0.21, Cause.MOTION_DISAGREES),
+        (0.1, 0.0, 0.19, Cause.MOTION_DISAGREES),
     ],
 )
 def test_cause_needs_significant_rotation(
