@@ -32,14 +32,6 @@ class SmootherConfig(Settings):
     camera, the variances of observations grow instead."""
     robust_sigmas: Annotated[float, Range(0.1, 1e3)] = 1.0
     """Scale of the Cauchy loss of the observations, in standard deviations or medians, whichever is larger."""
-    initial_rounds: Annotated[int, Range(1, 20)] = 2
-    """Number of rounds of the initial bundle adjustment; outliers are rejected before each of them."""
-    initial_iterations: Annotated[int, Range(1, 100)] = 10
-    """Number of Levenberg-Marquardt steps per round of the initial bundle adjustment."""
-    zupt_velocity_sigma_m_s: Annotated[float, Range(1e-5, 1e3)] = 0.01
-    """Standard deviation of the velocity in a zero-velocity update [m/s]."""
-    zupt_pose_sigma: Annotated[float, Range(1e-5, 1e3)] = 0.003
-    """Standard deviation of the relative pose in a zero-velocity update [rad] and [m]."""
 
     def image_sigma_px(self, cameras: int) -> float:
         """Return the standard deviation of an image observation of the best quality [px] with some cameras."""

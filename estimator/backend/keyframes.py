@@ -9,6 +9,10 @@ import numpy.typing as npt
 from dronevio.estimator.types import Observations, common_rows
 from dronevio.models.ranges import Range, Settings
 
+STATIONARY_INTERVAL_S = 0.5
+"""Shortest time between keyframes while the drone is stationary [s]."""
+MIN_INTERVAL_S = 0.1
+"""Shortest time to the last keyframe for a keyframe by innovation [s], so that the window does not become short."""
 TIME_TOLERANCE_S = 0.001
 """Tolerance of time intervals [s], because time stamps are rounded and jitter."""
 
@@ -19,16 +23,12 @@ class KeyframeConfig(Settings):
 
     interval_s: Annotated[float, Range(0.01, 5.0)] = 0.2
     """Time between keyframes in motion, to the nearest frame [s]."""
-    stationary_interval_s: Annotated[float, Range(0.01, 5.0)] = 0.5
-    """Shortest time between keyframes while the drone is stationary [s]."""
     min_tracked: Annotated[float, Range(0.0, 1.0)] = 0.6
     """Smallest share of the last keyframe's features that is still tracked. With fewer, the frame becomes a keyframe
     before `interval_s`."""
     max_innovation_px: Annotated[float, Range(above=0.0)] = 2.0
     """Largest median innovation of the landmarks [px]. Beyond it, for example after a shock, the frame becomes a
     keyframe before `interval_s`."""
-    min_interval_s: Annotated[float, Range(0.0, 5.0)] = 0.1
-    """Shortest time to the last keyframe for a keyframe by innovation [s], so that the window does not become short."""
 
 
 class KeyframePolicy:
@@ -69,7 +69,7 @@ class KeyframePolicy:
             return self.is_interval_over(elapsed_s, frame_s, stationary=True)
         tracked = len(common_rows(self._ids, observations.ids)[0]) / len(self._ids) if len(self._ids) else 1.0
         is_implausible = (innovation_px or 0.0) > c.max_innovation_px
-        is_implausible &= elapsed_s >= c.min_interval_s - TIME_TOLERANCE_S
+        is_implausible &= elapsed_s >= MIN_INTERVAL_S - TIME_TOLERANCE_S
         is_late = self.is_interval_over(elapsed_s, frame_s, stationary=False)
         return is_late or tracked < c.min_tracked or is_implausible
 
@@ -82,7 +82,7 @@ class KeyframePolicy:
             stationary: Whether the drone has been stationary since then.
         """
         if stationary:
-            return elapsed_s >= self._config.stationary_interval_s - TIME_TOLERANCE_S
+            return elapsed_s >= STATIONARY_INTERVAL_S - TIME_TOLERANCE_S
         return elapsed_s + 0.5 * frame_s >= self._config.interval_s - TIME_TOLERANCE_S
 
     @staticmethod

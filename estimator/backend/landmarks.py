@@ -16,6 +16,9 @@ from dronevio.models.ranges import Range, Settings
 
 CameraPoses = Mapping[int, tuple[Array, Array]]
 """Orientations (C, 3, 3) and positions (C, 3) of the rig's cameras in the world frame, for each keyframe."""
+MAX_OVER_MEDIAN = 5.0
+"""Reprojection error beyond which a landmark is an outlier, as a multiple of the median over the landmarks of the same
+keyframe, where that is larger than `LandmarkConfig.max_reprojection_px`."""
 
 
 @dataclass(frozen=True)
@@ -35,10 +38,7 @@ class LandmarkConfig(Settings):
     max_distance_m: Annotated[float, Range(0.1, 1e4)] = 60.0
     """Largest depth of a landmark [m]."""
     max_reprojection_px: Annotated[float, Range(above=0.0)] = 6.0
-    """Reprojection error beyond which a landmark is an outlier [px], unless `max_over_median` allows more."""
-    max_over_median: Annotated[float, Range(low=1.0)] = 5.0
-    """Reprojection error beyond which a landmark is an outlier, as a multiple of the median over the landmarks of the
-    same keyframe. The larger of both limits applies."""
+    """Reprojection error beyond which a landmark is an outlier [px], unless `MAX_OVER_MEDIAN` allows more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,8 +195,8 @@ class LandmarkDatabase:
 
     def _max_error(self, median: Array | float) -> Array:
         """Return the normalized reprojection error of an outlier, where the median of all is given."""
-        c = self._config
-        return np.maximum(c.max_reprojection_px / self._focal_px, c.max_over_median * np.asarray(median))
+        max_error = self._config.max_reprojection_px / self._focal_px
+        return np.maximum(max_error, MAX_OVER_MEDIAN * np.asarray(median))
 
     def _insert(self, ids: Integers, points: Array) -> None:
         """Add triangulated landmarks."""

@@ -35,6 +35,15 @@ from dronevio.estimator.types import GAUGE_SIGMA, NO_FEATURES, Calibration, Obse
 from dronevio.models.arrays import Array, Integers
 from dronevio.models.state import NavState
 
+INITIAL_ROUNDS = 2
+"""Number of rounds of the initial bundle adjustment; outliers are rejected before each of them."""
+INITIAL_ITERATIONS = 10
+"""Number of Levenberg-Marquardt steps per round of the initial bundle adjustment."""
+ZUPT_VELOCITY_SIGMA_M_S = 0.01
+"""Standard deviation of the velocity in a zero-velocity update [m/s]."""
+ZUPT_POSE_SIGMA = 0.003
+"""Standard deviation of the relative pose in a zero-velocity update [rad] and [m]."""
+
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
@@ -200,7 +209,7 @@ class KeyframeSmoother:
         for keyframe in keyframes:
             self._append(keyframe)
         try:
-            for _ in range(self._config.initial_rounds):
+            for _ in range(INITIAL_ROUNDS):
                 window.landmarks.triangulate(window.cameras, window.newest, retriangulate=True)
                 solver = self._levenberg_marquardt()
             self._solution = self._read_solution(solver)
@@ -302,15 +311,15 @@ class KeyframeSmoother:
 
     def _append(self, keyframe: Keyframe) -> None:
         """Add a keyframe at the state that the IMU predicts, with the factors to the previous keyframe."""
-        c, window, j = self._config, self._window, self._window.newest
+        window, j = self._window, self._window.newest
         k = j + 1
         nav, bias = self.gtsam_state
         predicted = keyframe.preintegrated.predict(nav, bias)
         motion = gtsam.CombinedImuFactor(X(j), V(j), X(k), V(k), B(j), B(k), keyframe.preintegrated)
         factors: list[gtsam.NoiseModelFactor] = [motion]
         if keyframe.stationary:
-            zero_velocity = gtsam.noiseModel.Isotropic.Sigma(3, c.zupt_velocity_sigma_m_s)
-            zero_motion = gtsam.noiseModel.Isotropic.Sigma(6, c.zupt_pose_sigma)
+            zero_velocity = gtsam.noiseModel.Isotropic.Sigma(3, ZUPT_VELOCITY_SIGMA_M_S)
+            zero_motion = gtsam.noiseModel.Isotropic.Sigma(6, ZUPT_POSE_SIGMA)
             factors.append(gtsam.PriorFactorVector(V(k), np.zeros(3), zero_velocity))
             factors.append(gtsam.BetweenFactorPose3(X(j), X(k), gtsam.Pose3(), zero_motion))
         window.append(KeyframeState(predicted.pose(), predicted.velocity(), bias), factors)
@@ -365,8 +374,8 @@ class KeyframeSmoother:
 
     def _levenberg_marquardt(self) -> CholeskyFactor:
         """Optimize the window by Levenberg-Marquardt and return the factor of the linear system at the minimum."""
-        window, iterations = self._window, self._config.initial_iterations
-        minimum = levenberg_marquardt(window.objective, window.estimate, CholeskyFactor, iterations)
+        window = self._window
+        minimum = levenberg_marquardt(window.objective, window.estimate, CholeskyFactor, INITIAL_ITERATIONS)
         window.estimate = minimum.x
         return CholeskyFactor(minimum.equations.H)
 

@@ -46,9 +46,6 @@ class CalibrationConfig(Settings):
     """Focal lengths of each camera, relative."""
     principal: CalibratedPart = CalibratedPart(False, sigma=0.01, min_correction=0.003, walk=1e-6)
     """Principal point of each camera, in units of the focal lengths."""
-    min_relative_correction: Annotated[float, Range(low=0.0)] = 0.0015
-    """Smallest correction of the rotation between cameras by the matches of the first keyframe, over all rotation
-    parameters together [rad]."""
     min_motion_correction: Annotated[float, Range(low=0.0)] = 0.01
     """Smallest first correction of the rotations by windows that begin in motion [rad], as the root mean square over
     the cameras. Smaller rotations have systematic causes there, which many windows share."""
@@ -68,8 +65,6 @@ class CalibrationConfig(Settings):
     """Smallest number of keyframes of a window that is adjusted."""
     min_landmarks: Annotated[int, Range(5, 1000)] = 20
     """Smallest number of landmarks of a window that is adjusted."""
-    max_rms_px: Annotated[float, Range(above=0.0)] = 2.0
-    """Largest root mean square reprojection error of a window whose result is used [px]."""
     max_correction_sigmas: Annotated[float, Range(above=0.0, infinite=True)] = 5.0
     """Largest plausible correction of a parameter, in standard deviations of its prior: 5.7° of a rotation. After a
     larger one, which shows that images and calibration do not belong together, the health is not tracking again."""

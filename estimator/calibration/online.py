@@ -39,6 +39,11 @@ MIN_PART_KEYFRAMES = 5
 KEPT_INFLATION = 0.5
 """Share of the covariance inflation up to which the odometry keeps its window; after larger corrections it continues
 from the adjustment's newest state, if that is determined."""
+MAX_RMS_PX = 2.0
+"""Largest root mean square reprojection error of a window whose result is used [px]."""
+MIN_RELATIVE_CORRECTION = 0.0015
+"""Smallest correction of the rotation between cameras by the matches of the first keyframe, over all rotation
+parameters together [rad]."""
 MAX_RELATIVE_SIGMAS = 4.0
 """Prior standard deviations beyond which the matches of a keyframe have another cause than the cameras' rotation."""
 
@@ -241,11 +246,11 @@ class OnlineCalibration:
         while not problem.is_done:
             problem.step()
         result = problem.result
-        if result is None or not result.rms_px < c.max_rms_px:
+        if result is None or not result.rms_px < MAX_RMS_PX:
             return False
         if np.abs(Corrections.from_vector(result.mean).rotation_rad).max() > MAX_RELATIVE_SIGMAS * c.rotation.sigma:
             return False
-        test = SignificanceTest(c.min_relative_correction, c.min_relative_correction)
+        test = SignificanceTest(MIN_RELATIVE_CORRECTION, MIN_RELATIVE_CORRECTION)
         return self._apply(result.mean, _inverse(result.information), test)
 
     def _adjusting(self, window: CalibrationWindow) -> Adjusting | None:
@@ -271,7 +276,7 @@ class OnlineCalibration:
         if not isinstance(stage, Adjusting) or not stage.problem.is_done:
             return False
         window, result, self._stage = stage.window, stage.problem.result, Idle()
-        if result is None or not result.rms_px < self._prior.config.max_rms_px:
+        if result is None or not result.rms_px < MAX_RMS_PX:
             return False
         # Information filter: the prior of the adjustment was the estimate, so that its posterior is the next estimate
         mean, covariance = result.mean.copy(), _inverse(result.information)

@@ -19,6 +19,9 @@ from dronevio.models.arrays import Array, Integers
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.state import NavState
 
+MAX_LANDMARKS = 150
+"""Largest number of landmarks of an adjustment. Those with the most observations are used."""
+
 
 @dataclass(frozen=True, eq=False)
 class WindowKeyframe:
@@ -57,8 +60,6 @@ class AdjustmentConfig(Settings):
     """Smallest parallax of a landmark [°]."""
     max_reprojection_px: Annotated[float, Range(above=0.0)] = 15.0
     """Largest root mean square reprojection error of a landmark before the adjustment [px]."""
-    max_landmarks: Annotated[int, Range(10, 1000)] = 150
-    """Largest number of landmarks. Those with the most observations are used."""
     iterations: Annotated[int, Range(1, 50)] = 3
     """Largest number of Gauss-Newton steps."""
     max_decrement: Annotated[float, Range(low=0.0)] = 1.0
@@ -128,6 +129,6 @@ def select_landmarks(
     is_good = landmarks.in_front & (landmarks.parallax_rad > np.radians(config.min_parallax_deg)) & is_accurate
     counts = np.bincount(observations.landmark)
     descending = np.sort(counts[is_good])[::-1]
-    if len(descending) > config.max_landmarks:
-        is_good &= counts >= descending[config.max_landmarks - 1]
+    if len(descending) > MAX_LANDMARKS:
+        is_good &= counts >= descending[MAX_LANDMARKS - 1]
     return observations.of_landmarks(is_good), landmarks.points[is_good]

@@ -19,6 +19,9 @@ from dronevio.models.ranges import Range, Settings
 DOWNSAMPLING = 2  # pixels at full resolution per pixel of the image in which corners are detected
 COARSE_BLOCK_PX, FINE_BLOCK_PX = 3, 5  # side of the block over which gradients are summed, at half and full resolution
 REFINEMENT_RADIUS_PX = 3  # largest displacement of a corner in the refinement, in each direction
+MIN_SCORE_OVER_NOISE = 2.5e-5
+"""Smallest accepted ratio of the eigenvalue to the variance of the image noise [1 / grey levels²], which is twice the
+ratio that noise alone produces."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +32,6 @@ class CornerConfig(Settings):
     """Side of the grid cells [px]. Each cell yields at most one new corner; an image of 752×480 has 187 cells."""
     min_score: Annotated[float, Range(above=0.0)] = 4e-4
     """Smallest accepted eigenvalue of the gradient matrix, for grey levels scaled to [0, 1]."""
-    min_score_over_noise: Annotated[float, Range(low=0.0)] = 2.5e-5
-    """Smallest accepted ratio of the eigenvalue to the variance of the image noise [1 / grey levels²], which is twice
-    the ratio that noise alone produces."""
     spacing_px: Annotated[int, Range(1, 500)] = 22
     """Smallest distance between a new corner and any existing feature [px]."""
 
@@ -60,9 +60,8 @@ def detect_corners(image: Image, noise: float, occupied: Array, border_px: int, 
     cells = score[top : top + rows * side, left : left + columns * side]
     cells = cells.reshape(rows, side, columns, side).transpose(0, 2, 1, 3).reshape(rows * columns, side * side)
     best = cells.argmax(axis=1)
-    is_strong = np.take_along_axis(cells, best[:, None], axis=1)[:, 0] > max(
-        config.min_score, config.min_score_over_noise * noise**2
-    )
+    min_score = max(config.min_score, MIN_SCORE_OVER_NOISE * noise**2)
+    is_strong = np.take_along_axis(cells, best[:, None], axis=1)[:, 0] > min_score
     # Cells without a feature
     is_free = np.ones((rows, columns), dtype=np.bool_)
     row, column = ((occupied[:, ::-1] / DOWNSAMPLING - [top, left]) // side).astype(int).T

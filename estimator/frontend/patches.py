@@ -30,6 +30,11 @@ NOISE_ROW_STRIDE = 16  # every sixteenth row suffices to estimate the noise of a
 MEDIAN_OVER_SIGMA = 0.6745  # median of the absolute value of a standard normal variable
 WALK_S = 0.05  # time of the random walk to which `PatchConfig.warp_sigma` refers [s]
 BLURRED_NOISE_RATIO = 0.65  # standard deviation of the image noise after the blur relative to that before
+RESIDUAL_SIGMA = 3.0
+"""Standard deviation of the difference between two aligned patches [grey levels], which weights the warp prior."""
+NOISE_THRESHOLD = 6.0
+"""Standard deviation of the image noise above which `NOISY_BLUR_PX` replaces `PatchConfig.blur_px` [grey levels]."""
+NOISY_BLUR_PX = 1.0  # standard deviation of the Gaussian blur applied to noisy images
 MIN_NORM = 1e-3  # smallest norm of a patch [grey levels], so that uniform patches cause no division by zero
 
 
@@ -44,8 +49,6 @@ class PatchConfig(Settings):
     """Number of Gauss-Newton iterations per keyframe."""
     tracking_iterations: Annotated[int, Range(1, 50)] = 1
     """Number of them at every frame, which keeps the patch aligned from one frame to the next."""
-    residual_sigma: Annotated[float, Range(above=0.0, high=1e3)] = 3.0
-    """Standard deviation of the difference between two aligned patches [grey levels], which weights the warp prior."""
     warp_sigma: Annotated[float, Range(above=0.0, high=1e3)] = 0.05
     """Standard deviation of the change of each element of the affine warp within 50 ms, of a random walk."""
     blur_px: Annotated[float, Range(0.0, 10.0)] = 0.5
@@ -57,10 +60,6 @@ class PatchConfig(Settings):
     min_zncc: Annotated[float, Range(-1.0, 1.0)] = 0.9
     """Smallest ZNCC (zero-mean normalized cross-correlation) of a successful alignment, before the allowance for image
     noise; a partly occluded patch has less."""
-    noise_threshold: Annotated[float, Range(low=0.0, infinite=True)] = 6.0
-    """Standard deviation of the image noise above which `noisy_blur_px` replaces `blur_px` [grey levels]."""
-    noisy_blur_px: Annotated[float, Range(0.0, 10.0)] = 1.0
-    """Standard deviation of the Gaussian blur applied to noisy images [px]."""
     max_scale: Annotated[float, Range(1.0, 10.0)] = 2.5
     """Largest scale of the warp, and the reciprocal of the smallest, of a successful alignment."""
 
@@ -163,7 +162,7 @@ class PatchAligner:
     def scale_space(self, image: Image) -> ScaleSpace:
         """Return an image (H, W) blurred once for each of the configured scales."""
         c, noise, scales = self._config, noise_sigma(image), np.array(self._config.scales)
-        blur_px = c.noisy_blur_px if noise > c.noise_threshold else c.blur_px
+        blur_px = NOISY_BLUR_PX if noise > NOISE_THRESHOLD else c.blur_px
         sigmas = np.sqrt(blur_px**2 * scales**2 + PIXEL_BLUR_PX**2 * (scales**2 - 1.0))
         height, width = image.shape[0] + 2 * MARGIN_PX, image.shape[1]
         padded = np.empty((height, width), np.uint8)  # OpenCV allocates an output more slowly than numpy does
@@ -188,7 +187,7 @@ class PatchAligner:
         steepest_descent /= norm[:, None, None]
         steepest_descent -= steepest_descent.mean(axis=2, keepdims=True)
         steepest_descent -= (steepest_descent @ template[:, :, None]) * template[:, None, :]
-        prior_weight = (c.residual_sigma / (norm * c.warp_sigma)) ** 2
+        prior_weight = (RESIDUAL_SIGMA / (norm * c.warp_sigma)) ** 2
         H = steepest_descent @ steepest_descent.transpose(0, 2, 1)
         H += 1e-9 * np.eye(6, dtype=np.float32)
         warp = np.tile(np.eye(2), (n, 1, 1))

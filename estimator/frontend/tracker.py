@@ -28,6 +28,10 @@ from dronevio.models.state import CameraFrame
 
 OUTSIDE_PX = 1e4  # a finite coordinate outside any image, for predictions behind the camera
 RETRY_LEVELS = 2  # additional pyramid levels for features that the prediction did not lead to
+MAX_CORRECTION_PX = 2.0  # largest distance between the results of Lucas-Kanade and of the patch alignment
+MAX_ROTATION_SIGMA_RAD = 0.01
+"""Standard deviation of the gyroscope's rotation above which the essential matrix replaces it [rad]; the tolerance of
+the two-point method grows with that deviation and would admit outliers."""
 MIN_SHARE = 0.1
 """Smallest share of the features that is still observed, if they are too few for a significant consensus. Fewer of them
 agree by chance, as after a gap of the images: some patches are similar, and any two fit some translation."""
@@ -47,8 +51,6 @@ class TrackerConfig(Settings):
     """Number of pyramid levels above the image. The prediction may be off by about window / 2 · 2^levels pixels."""
     border_px: Annotated[int, Range(1, 200)] = 12
     """Distance from the image border below which features are dropped [px]."""
-    max_correction_px: Annotated[float, Range(above=0.0)] = 2.0
-    """Largest distance between the results of Lucas-Kanade and of the patch alignment [px]."""
     min_tracked_ratio: Annotated[float, Range(0.0, 1.0)] = 0.5
     """Smallest ratio of tracked features to those predicted inside the image. Below it, the prediction is regarded as
     wrong, and the remaining features are searched again in a larger neighbourhood of their previous positions."""
@@ -57,9 +59,6 @@ class TrackerConfig(Settings):
     min_inlier_ratio: Annotated[float, Range(0.0, 1.0)] = 0.5
     """Smallest ratio of inliers with the gyroscope's rotation. Below it, that rotation is regarded as wrong if the
     essential matrix has a larger ratio of inliers than this."""
-    max_rotation_sigma_rad: Annotated[float, Range(above=0.0, infinite=True)] = 0.01
-    """Standard deviation of the gyroscope's rotation above which the essential matrix replaces it [rad]; the tolerance
-    of the two-point method grows with that deviation and would admit outliers."""
     seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the random generator of RANSAC."""
 
@@ -224,7 +223,7 @@ class FeatureTracker:
         """Return the features whose patches can be aligned near pixels (N, 2), by some iterations."""
         result = self._aligner.align(self._scale_space, features.patches, pixels, iterations, self._elapsed_s)
         correction_px = np.linalg.norm(result.pixels - pixels, axis=1)
-        valid = result.valid & (correction_px < self._config.max_correction_px)
+        valid = result.valid & (correction_px < MAX_CORRECTION_PX)
         valid &= is_inside(result.pixels, self._camera, self._config.border_px)
         return replace(features, pixels=result.pixels, zncc=result.zncc, patches=result.patches)[valid]
 
@@ -237,7 +236,7 @@ class FeatureTracker:
         if not len(xy):
             return features
         threshold = self._config.ransac_threshold_px / self._camera.central_focal_px[0]
-        if rotation_sigma_rad > self._config.max_rotation_sigma_rad:
+        if rotation_sigma_rad > MAX_ROTATION_SIGMA_RAD:
             inliers = essential_inliers(features.xy, xy, threshold)
             if inliers.mean() > self._config.min_inlier_ratio:
                 return replace(features, xy=xy, ages=features.ages + 1)[inliers]

@@ -40,6 +40,11 @@ from dronevio.models.state import NavState
 
 MIN_FEATURES = 100
 """Below this number of features, new ones are detected in every frame during initialization."""
+MAX_HOVER_VELOCITY_SIGMA_M_S = 0.03
+"""Standard deviation of the velocity that suffices at any speed [m/s]; a relative one means nothing at hover."""
+REST_GYRO_BIAS_SIGMA_RAD_S = 0.01
+"""Standard deviation of the gyroscope bias that a stationary interval has determined [rad/s]; a short interval may
+contain a slow rotation."""
 NO_SOLUTION = "images and IMU do not determine the motion: motion sideways past near objects helps"
 """Reason where the smoother finds no solution."""
 NOISE_ROUNDS = 4
@@ -68,11 +73,6 @@ class InitializerConfig(Settings):
     """Standard deviations of a dynamic initialization."""
     max_velocity_sigma: Annotated[float, Range(low=0.0)] = 0.05
     """Largest standard deviation of the velocity, relative to the speed, of the first state that is published."""
-    max_hover_velocity_sigma_m_s: Annotated[float, Range(low=0.0)] = 0.03
-    """Standard deviation of the velocity that suffices at any speed [m/s]; a relative one means nothing at hover."""
-    rest_gyro_bias_sigma_rad_s: Annotated[float, Range(1e-6, 10.0)] = 0.01
-    """Standard deviation of the gyroscope bias that a stationary interval has determined [rad/s]; a short interval may
-    contain a slow rotation."""
     gyro_bias_sigma_rad_s: Annotated[float, Range(1e-6, 10.0)] = 0.05
     """Standard deviation of the gyroscope bias before it is estimated [rad/s]; that of EuRoC is 0.08."""
 
@@ -90,7 +90,7 @@ def not_ready_reason(state: NavState, config: InitializerConfig) -> NotObservabl
     P = state.covariance
     speed_m_s = float(np.linalg.norm(state.velocity_m_s))
     sigma_m_s = float(np.sqrt(np.linalg.eigvalsh(P[6:9, 6:9])[-1])) if P is not None else 0.0
-    allowed_m_s = max(config.max_hover_velocity_sigma_m_s, config.max_velocity_sigma * speed_m_s)
+    allowed_m_s = max(MAX_HOVER_VELOCITY_SIGMA_M_S, config.max_velocity_sigma * speed_m_s)
     return None if sigma_m_s <= allowed_m_s else uncertain_velocity(speed_m_s, sigma_m_s, allowed_m_s)
 
 
@@ -214,7 +214,7 @@ class Initializer:
         self, window: Sequence[FramePacket], calibration: Calibration, gauge: Gauge, noise: ImuNoiseEstimator
     ) -> KeyframeSmoother | NotObservable:
         c = self._config
-        gyro_bias = replace(self._gyro_bias, sigma=max(self._gyro_bias.sigma, c.rest_gyro_bias_sigma_rad_s))
+        gyro_bias = replace(self._gyro_bias, sigma=max(self._gyro_bias.sigma, REST_GYRO_BIAS_SIGMA_RAD_S))
         focal_px, gravity_m_s2 = float(calibration.focal_px[0]), noise.params.gravity_m_s2
 
         def start_of(accel_bias: BiasPrior) -> DynamicStart | NotObservable:

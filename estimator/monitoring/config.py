@@ -72,8 +72,6 @@ class HealthConfig(Settings):
     sheet states 0.01."""
     accel_bias_sigma_m_s2: Annotated[float, Range(1e-6, 100.0)] = 0.2
     """Lower bound of the standard deviation of the accelerometer bias [m/s²]. The bias of EuRoC reaches 0.5."""
-    max_bias_sigmas: Annotated[float, Range(above=0.0, infinite=True)] = 10.0
-    """Largest plausible bias, in these standard deviations."""
     max_first_bias_sigmas: Annotated[float, Range(above=0.0, infinite=True)] = 2.5
     """Largest bias by an initialization in motion, in these standard deviations, at which its estimate counts as
     consistent from the beginning. A bias of the gyroscope explains wrong rotations for some tenths of a second."""

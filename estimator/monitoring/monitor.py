@@ -16,6 +16,8 @@ from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.imu import ImuModel
 from dronevio.models.state import HealthQuantities, NavState
 
+MAX_BIAS_SIGMAS = 10.0
+"""Largest plausible bias, in standard deviations of the bias."""
 IMAGE_VARIANCES = 10
 """Number of keyframes from which the variance of image observations is taken."""
 
@@ -230,7 +232,7 @@ class HealthMonitor:
         if speed_m_s > c.max_speed_m_s:
             return Reason.of(Cause.SPEED, speed_m_s=speed_m_s)
         bias_sigmas = known.bias_sigmas or 0.0
-        if bias_sigmas > c.max_bias_sigmas:
+        if bias_sigmas > MAX_BIAS_SIGMAS:
             return Reason.of(Cause.BIAS, bias_sigmas=bias_sigmas)
         contradicted_s = (t_ns - since.consistent_ns) * 1e-9
         if contradicted_s > c.max_contradiction_s:

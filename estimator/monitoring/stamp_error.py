@@ -37,6 +37,11 @@ MAX_LATE_TICKS = 0.75
 """Largest error of a stamp in ticks; beyond it, the frame belongs to another tick than the next."""
 MIN_INTERVAL_S = 0.001
 """Shortest time between the exposures of successive frames [s]."""
+MIN_FRAMES = 8
+"""Smallest number of frames from which the error of the stamps is estimated and over which the images are compared."""
+MAX_SIGMA_S = 0.003
+"""Largest standard deviation of the time of exposure by the image of a frame that is used [s]. While a vehicle hovers,
+the image does not show when it was exposed."""
 MAX_GAP_S = 2.0
 """Time without frames after which their clock begins anew [s]."""
 PREFERENCE = 2.0
@@ -53,13 +58,8 @@ class StampConfig(Settings):
     """Standard deviation of stamps about a regular clock up to which they are taken as exact [s]."""
     memory: Annotated[int, Range(8, 1000)] = 30
     """Number of frames from which it is estimated and over which the images are compared."""
-    min_frames: Annotated[int, Range(3, 1000)] = 8
-    """Smallest number of these frames."""
     min_landmarks: Annotated[int, Range(4, 1000)] = 8
     """Smallest number of landmarks of a frame that is compared."""
-    max_sigma_s: Annotated[float, Range(above=0.0, high=1.0)] = 0.003
-    """Largest standard deviation of the time of exposure by the image of a frame that is used [s]. While a vehicle
-    hovers, the image does not show when it was exposed."""
 
 
 class FrameClock:
@@ -119,7 +119,7 @@ class StampCorrection:
             self._stamps_ns, self._clock = (), FrameClock(self._period_s, t_ns)
         self._stamps_ns = (*self._stamps_ns, t_ns)[-c.memory - 1 :]
         self._clock_delay_s = self._clock.add(t_ns)
-        if len(self._stamps_ns) > c.min_frames:
+        if len(self._stamps_ns) > MIN_FRAMES:
             stamps_ns = np.array(self._stamps_ns, dtype=np.int64)
             intervals_s = np.asarray((stamps_ns[1:] - stamps_ns[:-1]) * 1e-9)
             self._is_irregular = is_irregular(intervals_s, self._period_s, c.min_error_s)
@@ -143,7 +143,7 @@ class StampCorrection:
         if len(innovation) < c.min_landmarks:
             return
         error_s, sigma_s = exposure_error(innovation, predicted, angular_velocity_rad_s)
-        if sigma_s > c.max_sigma_s:
+        if sigma_s > MAX_SIGMA_S:
             return
         self._last = after_stamp, after_clock = (
             error_s + self._applied_s,
@@ -152,7 +152,7 @@ class StampCorrection:
         if last is None:
             return
         self._squares = (*self._squares, ((after_stamp - last[0]) ** 2, (after_clock - last[1]) ** 2))[-c.memory :]
-        if len(self._squares) >= c.min_frames:
+        if len(self._squares) >= MIN_FRAMES:
             of_stamps, of_clock = (median(squares) for squares in np.array(self._squares).T)
             self._uses_clock = of_clock < (PREFERENCE if self._uses_clock else 1.0 / PREFERENCE) * of_stamps
 
