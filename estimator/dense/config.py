@@ -38,10 +38,6 @@ class DepthConfig(Settings):
     """Margin of the depth range around the points of the reconstruction, as a share of the nearest and farthest."""
     levels: Annotated[int, Range(1, 8)] = 3
     """Number of resolutions, each half the next one; planes are swept at the lowest."""
-    refinement_steps: Annotated[int, Range(1, 32)] = 4
-    """Number of depths on either side of the result of a lower resolution that the refinement examines."""
-    refinement_step: Annotated[float, Range(0.01, 10.0)] = 0.5
-    """Distance between the depths of the refinement [px]."""
     small_penalty: Annotated[float, Range(0.0, 100.0)] = 0.06
     """Penalty of semi-global matching for a change by one depth step between neighbouring pixels; costs are 0 to 1."""
     large_penalty: Annotated[float, Range(0.0, 100.0)] = 0.4
@@ -58,8 +54,6 @@ class ConsistencyConfig(Settings):
     """Smallest number of other depth maps that confirm a depth."""
     max_reprojection_px: Annotated[float, Range(above=0.0)] = 1.0
     """Largest distance from a pixel after the projection to another depth map and back [px]."""
-    max_depth_ratio: Annotated[float, Range(above=0.0)] = 0.01
-    """Largest relative difference between a depth and that of the other depth map."""
 
 
 @dataclass(frozen=True)
@@ -67,11 +61,7 @@ class MeshConfig(Settings):
     """Surface from a truncated signed distance function."""
 
     voxel: Annotated[float, Range(low=0.0)] = 0.0
-    """Side of a voxel in the unit of the reconstruction; 0 for `voxel_px`."""
-    voxel_px: Annotated[float, Range(0.1, 1e3)] = 2.0
-    """Side of a voxel in pixels of the undistorted images, at the median depth [px]."""
-    truncation_voxels: Annotated[float, Range(1.0, 100.0)] = 4.0
-    """Distance from the surface at which the function is truncated, in voxels."""
+    """Side of a voxel in the unit of the reconstruction; 0 for two pixels of the undistorted images."""
     max_voxels: Annotated[int, Range(1000, 1_000_000_000)] = 20_000_000
     """Largest number of voxels; larger voxels are used if the scene needs more."""
     min_triangles: Annotated[int, Range(0, 100_000_000)] = 100

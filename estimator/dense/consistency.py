@@ -15,6 +15,8 @@ from dronevio.estimator.dense.config import ConsistencyConfig
 from dronevio.estimator.dense.views import Pinhole
 from dronevio.models.arrays import Array, Floats, Mask
 
+MAX_DEPTH_RATIO = 0.01
+"""Largest relative difference between a depth and that of the other depth map."""
 _SAME_SURFACE = 0.01  # relative difference of inverse depths of neighbouring pixels that are interpolated
 _OUTSIDE_PX = -10.0
 
@@ -93,7 +95,7 @@ def confirm(reference: PosedDepth, other: PosedDepth, config: ConsistencyConfig)
     back_u, back_v, back_z = _transferred(other.camera, reference.camera, T_reference_other, u, v, w_other)
     seen = np.divide(w_other, back_z, out=np.zeros_like(w_other), where=known & (back_z > 0.0))
     agrees = known & ((back_u - x) ** 2 + (back_v - y) ** 2 <= np.float32(config.max_reprojection_px**2))
-    agrees &= np.abs(seen - w) <= np.float32(config.max_depth_ratio) * w
+    agrees &= np.abs(seen - w) <= np.float32(MAX_DEPTH_RATIO) * w
     return agrees, seen, w_other * w_other
 
 

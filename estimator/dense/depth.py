@@ -18,6 +18,10 @@ from dronevio.estimator.dense.sweep import SCALE, Warp, sweep
 from dronevio.estimator.dense.views import View
 from dronevio.models.arrays import Array, Floats
 
+REFINEMENT_STEPS = 4
+"""Number of depths on either side of the result of a lower resolution that the refinement examines."""
+REFINEMENT_STEP = 0.5
+"""Distance between the depths of the refinement [px]."""
 _MEDIAN_PX = 5  # side of the median filter of a result before it is refined
 _CHOICE_PX = (5, 5)  # windows over which the sums of two sweeps are compared
 _PERCENTILES = (1.0, 99.0)  # of the depths of the points, between which planes are swept
@@ -75,7 +79,7 @@ def estimate_depth(
     sweeps = [_sweep_planes(view, warps, in_camera, axis, step, config) for axis in axes]
     best = _best([result for result in sweeps if result is not None])
     # Refinement: at each finer resolution, a few depths around the result of the one before
-    offsets = config.refinement_step * np.arange(-config.refinement_steps, config.refinement_steps + 1)
+    offsets = REFINEMENT_STEP * np.arange(-REFINEMENT_STEPS, REFINEMENT_STEPS + 1)
     for finer_view, finer_nearby in finer:
         start = _enlarged(np.asarray(cv2.medianBlur(best.inverse_depth, _MEDIAN_PX)), finer_view.grey.shape, step)
         step *= 0.5

@@ -19,6 +19,10 @@ Indices = npt.NDArray[np.int64]
 
 BLOCK = 8
 """Number of voxels along each side of a block."""
+VOXEL_PX = 2.0
+"""Side of a voxel in pixels of the undistorted images, at the median depth [px]."""
+TRUNCATION_VOXELS = 4.0
+"""Distance from the surface at which the function is truncated, in voxels."""
 _MIN_GROWTH = 1.1  # smallest factor on the side of the voxels if there are too many
 _BITS = 20  # of each coordinate of a block in one number
 _MASK, _HALF = (1 << _BITS) - 1, 1 << (_BITS - 1)
@@ -54,16 +58,16 @@ def integrate(depths: Sequence[PosedDepth], config: MeshConfig, progress: Progre
         config: Settings.
         progress: Called with the number of integrated depth maps.
     """
-    voxel = config.voxel or config.voxel_px * pixel_size(depths)
-    blocks = _occupied_blocks(depths, voxel, config.truncation_voxels)
+    voxel = config.voxel or VOXEL_PX * pixel_size(depths)
+    blocks = _occupied_blocks(depths, voxel)
     while len(blocks) * BLOCK**3 > config.max_voxels:
         growth = max(_MIN_GROWTH, 0.9 * np.sqrt(len(blocks) * BLOCK**3 / config.max_voxels))  # surfaces are areas
         voxel *= growth
-        blocks = _occupied_blocks(depths, voxel, config.truncation_voxels)
+        blocks = _occupied_blocks(depths, voxel)
     shape = (len(blocks), BLOCK, BLOCK, BLOCK)
     volume = Volume(voxel, blocks, np.zeros(shape, np.float32), np.zeros(shape, np.float32))
     for done, depth in enumerate(depths, 1):
-        _update(volume, depth, config.truncation_voxels * voxel)
+        _update(volume, depth, TRUNCATION_VOXELS * voxel)
         progress(done, len(depths))
     return volume
 
@@ -78,7 +82,7 @@ def pixel_size(depths: Sequence[PosedDepth]) -> float:
     return float(np.median(np.concatenate(sizes))) if sizes else 1.0
 
 
-def _occupied_blocks(depths: Sequence[PosedDepth], voxel: float, truncation_voxels: float) -> Indices:
+def _occupied_blocks(depths: Sequence[PosedDepth], voxel: float) -> Indices:
     """Return the blocks (B, 3) within the truncation distance of a surface along a ray."""
     side = BLOCK * voxel
     blocks = [np.zeros(0, np.int64)]
@@ -88,7 +92,7 @@ def _occupied_blocks(depths: Sequence[PosedDepth], voxel: float, truncation_voxe
         points = points[np.isfinite(points[:, 0])].astype(np.float64)
         direction = points / np.linalg.norm(points, axis=1, keepdims=True)
         for k in (-1.0, 0.0, 1.0):
-            along = points + k * truncation_voxels * voxel * direction
+            along = points + k * TRUNCATION_VOXELS * voxel * direction
             cells = np.floor((along @ T[:3, :3].T + T[:3, 3]) / side).astype(np.int64)
             blocks.append(np.unique(_keys(cells)))
     keys = np.unique(np.concatenate(blocks))

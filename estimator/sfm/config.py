@@ -14,8 +14,6 @@ class FeatureConfig(Settings):
     """Largest number of features of an image; those of highest contrast are kept."""
     contrast_threshold: Annotated[float, Range(above=0.0, high=1.0)] = 0.02
     """Smallest contrast of a keypoint, in the scale of OpenCV."""
-    edge_threshold: Annotated[float, Range(1.0, 1e3)] = 10.0
-    """Largest ratio of the principal curvatures of a keypoint."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +49,6 @@ class VerificationConfig(Settings):
     """Largest distance of an inlier from its epipolar line [px]."""
     min_inliers: Annotated[int, Range(5, 100_000)] = 15
     """Smallest number of inliers of a verified pair."""
-    max_homography_ratio: Annotated[float, Range(above=0.0, high=10.0)] = 0.8
-    """Smallest ratio of the inliers of a homography to those of the essential matrix at which a pair is planar."""
     max_iterations: Annotated[int, Range(10, 1_000_000)] = 5000
     """Largest number of hypotheses of RANSAC."""
 
@@ -75,8 +71,6 @@ class ResectionConfig(Settings):
     """Largest reprojection error of an inlier [px]."""
     min_inliers: Annotated[int, Range(4, 100_000)] = 15
     """Smallest number of inliers of a registered image."""
-    min_ratio: Annotated[float, Range(0.0, 1.0)] = 0.25
-    """Smallest ratio of the inliers to the points that the image observes."""
     max_iterations: Annotated[int, Range(10, 1_000_000)] = 5000
     """Largest number of hypotheses of RANSAC."""
 
@@ -97,8 +91,6 @@ class CompletionConfig(Settings):
     """Largest distance between an added feature and the projection of its point [px]."""
     guided_angle_rad: Annotated[float, Range(above=0.0, high=3.2)] = 0.35
     """Largest angle between the descriptor of an added feature and the mean descriptor of its track [rad]."""
-    merge_rounds: Annotated[int, Range(0, 100)] = 3
-    """Largest number of rounds, in each of which a track is merged with one other."""
 
 
 @dataclass(frozen=True)
@@ -109,13 +101,6 @@ class MapperConfig(Settings):
     """Triangulation of tracks."""
     resection: ResectionConfig = field(default_factory=ResectionConfig)
     """Registration of images."""
-    global_ratio: Annotated[float, Range(above=1.0, high=100.0)] = 1.2
-    """Growth of the number of images between two adjustments of the whole reconstruction."""
-    intermediate_observations: Annotated[int, Range(20, 100_000)] = 300
-    """Number of observations of an image in the adjustments before the last; tracks of many images are preferred."""
-    min_support: Annotated[float, Range(0.0, 1.0)] = 0.6
-    """Smallest ratio of the inliers of a registered image to the points that it observes; an image below it is
-    registered anew."""
     max_iterations: Annotated[int, Range(1, 1000)] = 50
     """Largest number of iterations of the last adjustment."""
     final_cauchy_sigmas: Annotated[float, Range(0.01, 1e3)] = 1.0
@@ -132,8 +117,6 @@ class InertialConfig(Settings):
     """Largest standard deviation of the scale, relative to the scale, at which the result is in metres."""
     max_tilt_sigma_deg: Annotated[float, Range(above=0.0)] = 1.0
     """Largest standard deviation of the direction of gravity at which the z axis of the result points up [deg]."""
-    max_interval_s: Annotated[float, Range(0.01, 60.0)] = 2.0
-    """Longest time between two images over which the IMU is integrated [s]."""
     noise_inflation: Annotated[float, Range(0.01, 1e3)] = 5.0
     """Factor on the white noise of the accelerometer, which also senses the vibration of the airframe."""
     accel_bias_m_s2: Annotated[float, Range(1e-6, 100.0)] = 0.1

@@ -17,6 +17,9 @@ from dronevio.models.arrays import Array
 DESCRIPTOR_SCALE = 512.0
 """A stored descriptor is the unit vector times this number, rounded to a byte."""
 
+EDGE_THRESHOLD = 10.0
+"""Largest ratio of the principal curvatures of a keypoint."""
+
 UNCERTAIN_SIZE_PX = 8.0
 """Diameter at which the variance of the position of a feature is twice that of small features [px]."""
 
@@ -62,7 +65,7 @@ def detect_features(
     detector = cv2.SIFT.create(
         nfeatures=config.max_features,
         contrastThreshold=config.contrast_threshold,
-        edgeThreshold=config.edge_threshold,
+        edgeThreshold=EDGE_THRESHOLD,
         enable_precise_upscale=True,
     )
     keypoints, described = detector.detectAndCompute(grey, None if mask is None else mask.astype(np.uint8))

@@ -34,12 +34,19 @@ MIN_AGREEMENT = 0.2
 """Smallest share of the observations that agree with known poses from which a reconstruction grows."""
 VISIBILITY_LEVELS = 6
 """Number of levels of the grids that measure how evenly the visible points cover an image."""
+GLOBAL_RATIO = 1.2
+"""Growth of the number of images between two adjustments of the whole reconstruction."""
+INTERMEDIATE_OBSERVATIONS = 300
+"""Number of observations of an image in the adjustments before the last; tracks of many images are preferred."""
 INTERMEDIATE_CAUCHY_PX = 1.0
 """Scale of the Cauchy loss of the adjustments before the last [px]."""
 INTERMEDIATE_ADJUSTMENT = BundleAdjustmentConfig(15, 1e-4, INTERMEDIATE_CAUCHY_PX)
 """Adjustments while the reconstruction grows."""
 SUBSET_ITERATIONS, SUBSET_TOLERANCE = 100, 1e-5
 """Largest number of iterations and relative decrease of the error of the last adjustment of a subset."""
+MIN_SUPPORT = 0.6
+"""Smallest ratio of the inliers of a registered image to the points that it observes; an image below it is
+registered anew."""
 MAX_DISCARDS = 2
 """Number of wrong registrations after which an image is left out."""
 CALIBRATED_TOLERANCE = 1e-3
@@ -172,7 +179,7 @@ class _Mapper:
                 state = self.clean(triangulate(scene, registered, config.triangulation))
                 count = int(state.is_registered.sum())
                 self.progress(count, scene.images)
-                if count >= config.global_ratio * adjusted_images:
+                if count >= GLOBAL_RATIO * adjusted_images:
                     state = self._discard(self._refine(state), discards)
                     adjusted_images = count
                 continue
@@ -233,7 +240,7 @@ class _Mapper:
         counts = np.bincount(scene.tracks.image[order], minlength=scene.images)
         rank = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
         kept = np.zeros(scene.tracks.count, np.bool_)
-        kept[scene.tracks.track[order[rank < self.config.intermediate_observations]]] = True
+        kept[scene.tracks.track[order[rank < INTERMEDIATE_OBSERVATIONS]]] = True
         return np.asarray(used & kept[scene.tracks.track])
 
     def adjust_all(self, state: SfmState, config: BundleAdjustmentConfig = INTERMEDIATE_ADJUSTMENT) -> SfmState:
@@ -260,7 +267,7 @@ class _Mapper:
         seen = state.has_point[scene.tracks.track] & state.is_registered[scene.tracks.image]
         visible = np.bincount(scene.tracks.image[seen], minlength=scene.images)
         inliers = np.bincount(scene.tracks.image[state.used(scene)], minlength=scene.images)
-        is_wrong = state.is_registered & ~scene.is_fixed & (inliers < self.config.min_support * visible)
+        is_wrong = state.is_registered & ~scene.is_fixed & (inliers < MIN_SUPPORT * visible)
         if not is_wrong.any() or (state.is_registered & ~is_wrong).sum() < 2:
             return state
         discards[is_wrong] += 1

@@ -17,6 +17,8 @@ from dronevio.models.rotation import exp_so3, pose_matrix, skew
 
 MAX_PINHOLE_RAD = np.radians(75.0)
 """Largest angle from the optical axis of the points that RANSAC uses [rad]."""
+MIN_INLIER_RATIO = 0.25
+"""Smallest ratio of the inliers to the points that the image observes."""
 GAUSS_NEWTON_STEPS = 8
 MIN_STEP_RAD = 1e-9
 """Rotation after which a step is the last one [rad]."""
@@ -58,7 +60,7 @@ def resect(points: Array, bearings: Array, focal_px: float, config: ResectionCon
     threshold_rad = config.max_error_px / focal_px
     T = refine_pose(T, points, bearings, 0.25 * threshold_rad)
     is_inlier = angles_between_rad((points - T[:3, 3]) @ T[:3, :3], bearings) < threshold_rad
-    if is_inlier.sum() < max(config.min_inliers, config.min_ratio * len(points)):
+    if is_inlier.sum() < max(config.min_inliers, MIN_INLIER_RATIO * len(points)):
         return None
     return T, is_inlier
 

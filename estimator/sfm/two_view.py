@@ -24,6 +24,8 @@ PLANAR_SIGMAS = 4.0
 """Largest error of a match that a homography explains, relative to the noise of the epipolar distances."""
 MIN_PLANAR_ERROR_PX = 0.3
 """Smallest value of that error [px]."""
+MAX_HOMOGRAPHY_RATIO = 0.8
+"""Smallest ratio of the inliers of a homography to those of the essential matrix at which a pair is planar."""
 MAD_TO_SIGMA = 1.4826
 """Standard deviation of a normal distribution divided by the median absolute deviation."""
 CONFIDENCE = 0.9999
@@ -169,7 +171,7 @@ def _classify(E: Array, f0: Array, f1: Array, focal_px: float, config: Verificat
         if explained.sum() < 3:
             break
         R = _rotation(f0[explained], f1[explained])
-    needed = config.max_homography_ratio * len(f0)
+    needed = MAX_HOMOGRAPHY_RATIO * len(f0)
     if np.sum(angles_between_rad(f0 @ R.T, f1) < threshold_rad) >= needed:
         return Geometry.ROTATION, R
     is_central = (f0[:, 2] > np.cos(MAX_PINHOLE_RAD)) & (f1[:, 2] > np.cos(MAX_PINHOLE_RAD))
@@ -178,7 +180,7 @@ def _classify(E: Array, f0: Array, f1: Array, focal_px: float, config: Verificat
     noise_px = MAD_TO_SIGMA * float(np.median(error_px)) if len(error_px) else 0.0
     max_error_px = float(np.clip(PLANAR_SIGMAS * noise_px, MIN_PLANAR_ERROR_PX, config.max_error_px))
     _, inliers = cv2.findHomography(xy0, xy1, cv2.USAC_MAGSAC, max_error_px, maxIters=config.max_iterations)
-    needed = config.max_homography_ratio * np.sum(error_px < max_error_px)
+    needed = MAX_HOMOGRAPHY_RATIO * np.sum(error_px < max_error_px)
     is_planar = inliers is not None and inliers.sum() >= needed
     return (Geometry.PLANAR if is_planar else Geometry.GENERAL), R
 

@@ -48,6 +48,8 @@ MAX_CONNECTED = 1000
 """Number of the newest loops whose keyframes are known to be connected with an earlier visit."""
 CONNECTED_WITHIN_S = 1.0
 """Time between a redundant keyframe and a loop that connects it with the earlier visit [s]."""
+LOCALIZATION_INTERVAL_S = 0.5
+"""Shortest time of flight between two keyframes that are localized in the map [s]."""
 MIN_MAP_KEYFRAMES = 5
 """Number of keyframes below which a map is discarded when the odometry is lost: the next track begins another one."""
 
@@ -80,8 +82,6 @@ class MappingConfig(Settings):
     """Shortest time of flight between two optimizations of the pose graph [s]."""
     interval_loops: Annotated[int, Range(1, 1_000_000)] = 300
     """Number of loops beyond which that time grows in proportion to it, as the cost of an optimization does."""
-    localization_interval_s: Annotated[float, Range(low=0.0)] = 0.5
-    """Shortest time of flight between two keyframes that are localized in the map [s]."""
     min_age_s: Annotated[float, Range(0.0, 3600.0)] = 10.0
     """Smallest age of a keyframe in which another one of the same track is localized [s]. At this age it is culled if
     it is redundant."""
@@ -414,15 +414,14 @@ class Mapper:
 
     def _localized(self, graph: PoseGraph, keyframe: MapKeyframe, images: KeyframeImages) -> list[RelativePose]:
         """Return the poses of a keyframe in the frames of earlier ones that are expected to show the same place."""
-        c = self._config
         last_ns = self._newest.localized_ns
-        if last_ns is not None and keyframe.t_ns - last_ns < c.localization_interval_s * 1e9:
+        if last_ns is not None and keyframe.t_ns - last_ns < LOCALIZATION_INTERVAL_S * 1e9:
             return []
         old = [k for k in self._references(graph, keyframe) if k.number in self._patches]
         if not old:
             return []
         T_map_imu, loops = graph.poses[keyframe.number], []
-        for row in nearest_views(np.stack([graph.poses[k.number] for k in old]), T_map_imu, c.covisibility):
+        for row in nearest_views(np.stack([graph.poses[k.number] for k in old]), T_map_imu, self._config.covisibility):
             match = old[row]
             predicted = inverse_pose(graph.poses[match.number]) @ T_map_imu
             patches = self._patches[match.number]

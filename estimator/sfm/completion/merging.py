@@ -21,6 +21,8 @@ from dronevio.models.arrays import Array
 
 Indices = npt.NDArray[np.int64]
 
+MERGE_ROUNDS = 3
+"""Largest number of rounds, in each of which a track is merged with one other."""
 NEIGHBOURS = 4
 """Number of nearest points with which each point is compared."""
 
@@ -38,7 +40,7 @@ def merge_tracks(
         features: (I,) Features of all images.
         config: Thresholds.
     """
-    for _ in range(config.merge_rounds):
+    for _ in range(MERGE_ROUNDS):
         pairs = _candidates(scene, state, features, config)
         pairs, points = _agreeing(scene, state, pairs, config.merge_error_px)
         if len(pairs) == 0:

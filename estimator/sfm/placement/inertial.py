@@ -24,6 +24,8 @@ from dronevio.models.rotation import integrated_rotations, log_so3
 
 Indices = npt.NDArray[np.int64]
 
+MAX_INTERVAL_S = 2.0
+"""Longest time between two images over which the IMU is integrated [s]."""
 MIN_INTERVALS = 4
 """Smallest number of intervals between images with IMU samples."""
 ROTATION_SCALE_RAD = 0.01
@@ -100,7 +102,7 @@ def align_with_imu(
         config: Settings.
         known_scale: Whether the reconstruction is in metres.
     """
-    intervals = _intervals(t_ns, Ts_world_cam, Ts_imu_cam, inertial, config.max_interval_s)
+    intervals = _intervals(t_ns, Ts_world_cam, Ts_imu_cam, inertial)
     count = len(intervals.increments)
     if count < MIN_INTERVALS:
         return f"{count} intervals between images with IMU samples; {MIN_INTERVALS} are needed"
@@ -121,9 +123,7 @@ def align_with_imu(
     return _solve(intervals, motions, fit.x, rms_rotation, inertial, config, known_scale)
 
 
-def _intervals(
-    t_ns: Times, Ts_world_cam: Array, Ts_imu_cam: Array, inertial: InertialData, max_interval_s: float
-) -> _Intervals:
+def _intervals(t_ns: Times, Ts_world_cam: Array, Ts_imu_cam: Array, inertial: InertialData) -> _Intervals:
     """Return the intervals between successive images that have IMU samples and are not too long."""
     t_imu_ns = t_ns + round(inertial.time_offset_s * 1e9)
     buffer = ImuBuffer(inertial.model)
@@ -137,7 +137,7 @@ def _intervals(
             for k, part in enumerate(increments)
             if t_imu_ns[k] >= first_ns
             and t_imu_ns[k + 1] <= last_ns
-            and 0.0 < part.duration_s <= max_interval_s
+            and 0.0 < part.duration_s <= MAX_INTERVAL_S
             and not part.is_degraded
         ],
         np.int64,

@@ -26,6 +26,8 @@ from dronevio.models.rotation import inverse_pose
 
 BORDER_PX = 3  # pixels around a patch that its gradients and its blur need
 MIN_LOCALIZED_DEPTH_M = 0.2  # smallest depth of a landmark that is projected
+MAX_LOCALIZED_VIEW_DEG = 35.0
+"""Largest angle between the two views of a landmark [°]."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +42,6 @@ class LocalizationConfig(Settings):
     """Assumed errors of the measurements."""
     max_shift_px: Annotated[float, Range(0.1, 100.0)] = 4.0
     """Largest distance between the predicted and the aligned position of a patch [px]."""
-    max_view_deg: Annotated[float, Range(1.0, 90.0)] = 35.0
-    """Largest angle between the two views of a landmark [°]."""
     max_scale: Annotated[float, Range(1.0, 4.0)] = 1.8
     """Largest ratio of the distances from which a landmark is seen."""
     max_error_sigmas: Annotated[float, Range(0.1, 100.0)] = 3.0
@@ -219,7 +219,7 @@ class Localizer:
         away = in_old + T_new_old[:3, :3].T @ T_new_old[:3, 3]  # from the new camera, in the axes of the old one
         cosine = np.sum(in_old * away, axis=1) / (np.linalg.norm(in_old, axis=1) * np.linalg.norm(away, axis=1))
         is_ahead = (in_new[:, 2] > MIN_LOCALIZED_DEPTH_M) & (in_old[:, 2] > MIN_LOCALIZED_DEPTH_M)
-        return np.asarray(is_ahead & (cosine > np.cos(np.radians(self._config.max_view_deg))))
+        return np.asarray(is_ahead & (cosine > np.cos(np.radians(MAX_LOCALIZED_VIEW_DEG))))
 
 
 def _projection(camera: CameraModel, pixels: Array, in_old: Array, T_new_old: Array) -> tuple[Array, Array]:

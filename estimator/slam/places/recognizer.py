@@ -25,6 +25,20 @@ from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import inverse_pose, log_so3
 
+MIN_SIMILARITY = 0.1
+"""Smallest similarity of a keyframe that is verified."""
+RIVAL_SIMILARITY = 0.7
+"""Similarity of a rival place relative to the recognized one, from which on it is verified, too."""
+MAX_VIEW_DEG = 60.0
+"""Largest angle between the optical axes of two keyframes that are compared, by the odometry [°]. Beyond it,
+descriptors of the same corners hardly match."""
+CONFIRM_WITHIN_S = 1.5
+"""Time between two keyframes that confirm each other [s]."""
+AGREE_M = 0.15
+"""Largest difference of two corrections that agree [m], to which the drift of the odometry is added."""
+AGREE_DEG = 1.5
+"""Largest difference of the rotations of two corrections that agree [°], to which the drift is added."""
+
 
 @dataclass(frozen=True)
 class PlaceConfig(Settings):
@@ -38,23 +52,10 @@ class PlaceConfig(Settings):
     """Smallest age of a keyframe that is recognized [s]. Younger ones share landmarks with the current window."""
     similar: Annotated[int, Range(1, 100)] = 10
     """Number of the most similar keyframes from which those to verify are chosen."""
-    min_similarity: Annotated[float, Range(0.0, 1.0)] = 0.1
-    """Smallest similarity of a keyframe that is verified."""
     verified: Annotated[int, Range(1, 100)] = 3
     """Largest number of keyframes that are verified for each new one."""
     island: Annotated[int, Range(0, 1000)] = 8
     """Difference of the positions of two keyframes in the map up to which they count as one place."""
-    rival_similarity: Annotated[float, Range(0.0, 1.0)] = 0.7
-    """Similarity of a rival place relative to the recognized one, from which on it is verified, too."""
-    max_view_deg: Annotated[float, Range(0.0, 180.0)] = 60.0
-    """Largest angle between the optical axes of two keyframes that are compared, by the odometry [°]. Beyond it,
-    descriptors of the same corners hardly match."""
-    confirm_within_s: Annotated[float, Range(0.0, 60.0)] = 1.5
-    """Time between two keyframes that confirm each other [s]."""
-    agree_m: Annotated[float, Range(1e-3, 10.0)] = 0.15
-    """Largest difference of two corrections that agree [m], to which `drift_ratio` is added."""
-    agree_deg: Annotated[float, Range(0.01, 45.0)] = 1.5
-    """Largest difference of the rotations of two corrections that agree [°], to which `drift_deg_m` is added."""
     drift_ratio: Annotated[float, Range(0.0, 1.0)] = 0.02
     """Drift of the position of the odometry relative to the length of the path. Two corrections may differ by the drift
     between the keyframes concerned, and none may exceed the drift since the recognized keyframe."""
@@ -184,13 +185,13 @@ class PlaceRecognizer:
     def _recognize(self, query: _Place, words: npt.NDArray[np.int64]) -> _Verified | None:
         """Return the best verified match of a new keyframe, None if there is none or if places rival."""
         c = self._config
-        candidates = self._index.query(words, self._may_be_seen(query), c.similar, c.min_similarity)
+        candidates = self._index.query(words, self._may_be_seen(query), c.similar, MIN_SIMILARITY)
         best: _Verified | None = None
         best_similarity, best_row, left = 0.0, 0, c.verified
         for row, similarity in zip(candidates.rows.tolist(), candidates.similarity.tolist(), strict=True):
             # After the first success, only one rival is of interest: another place, if it is nearly as similar.
             if best is not None and (
-                abs(row - best_row) <= c.island or similarity < c.rival_similarity * best_similarity
+                abs(row - best_row) <= c.island or similarity < RIVAL_SIMILARITY * best_similarity
             ):
                 continue
             if left == 0:
@@ -223,9 +224,9 @@ class PlaceRecognizer:
         T_query = query.keyframe.T_odom_imu
         axes = np.stack([camera.T_imu_cam[:3, 2] for camera in self._rig.cameras])
         cosine = (axes @ np.swapaxes(T[:, :3, :3], 1, 2) @ T_query[:3, :3] @ axes.T).max(axis=(1, 2))
-        max_angle = np.radians(np.minimum(c.max_view_deg + c.drift_deg_m * path_m, 180.0))
+        max_angle = np.radians(np.minimum(MAX_VIEW_DEG + c.drift_deg_m * path_m, 180.0))
         distance_m = np.linalg.norm(T[:, :3, 3] - T_query[:3, 3], axis=1)
-        max_distance_m = c.verification.max_distance_m + c.agree_m + c.drift_ratio * path_m
+        max_distance_m = c.verification.max_distance_m + AGREE_M + c.drift_ratio * path_m
         is_near = (distance_m <= max_distance_m) & (cosine >= np.cos(max_angle))
         return np.asarray(is_other_track | (is_old & is_near))
 
@@ -249,8 +250,8 @@ class PlaceRecognizer:
         c, difference = self._config, inverse_pose(first) @ second
         angle_deg = float(np.degrees(np.linalg.norm(log_so3(difference[:3, :3]))))
         return (
-            float(np.linalg.norm(difference[:3, 3])) <= c.agree_m + c.drift_ratio * path_m
-            and angle_deg <= c.agree_deg + c.drift_deg_m * path_m
+            float(np.linalg.norm(difference[:3, 3])) <= AGREE_M + c.drift_ratio * path_m
+            and angle_deg <= AGREE_DEG + c.drift_deg_m * path_m
         )
 
     def _confirmed(
@@ -263,7 +264,7 @@ class PlaceRecognizer:
             verified: The new match; None if there is none.
             recent: Matches of the keyframes before.
         """
-        oldest_ns = place.keyframe.t_ns - round(self._config.confirm_within_s * 1e9)
+        oldest_ns = place.keyframe.t_ns - round(CONFIRM_WITHIN_S * 1e9)
         recent = tuple(each for each in recent if each.query.keyframe.t_ns >= oldest_ns)
         if verified is None:
             return (), recent

@@ -35,6 +35,11 @@ FEW_ITERATIONS = 3
 """Number of Gauss-Newton steps where the result only selects matches, or begins close to the solution."""
 MAX_ROUNDS = 4
 """Largest number of rounds in which matches are selected and the pose is refined."""
+MIN_SPREAD = 0.08
+"""Smallest standard deviation of the positions of the agreeing corners in each direction, along the axis in which
+they are spread least, in normalized coordinates."""
+MAX_POSITION_RATIO = 0.02
+"""Tolerance of the position, relative to the median depth of the landmarks."""
 
 
 @dataclass(frozen=True)
@@ -57,18 +62,13 @@ class VerificationConfig(Settings):
     """Smallest number of matches in both directions together that agree with the pose."""
     min_inlier_ratio: Annotated[float, Range(0.0, 1.0)] = 0.25
     """Smallest share of all matches that agree with the pose."""
-    min_spread: Annotated[float, Range(0.0, 1.0)] = 0.08
-    """Smallest standard deviation of the positions of the agreeing corners in each direction, along the axis in which
-    they are spread least, in normalized coordinates."""
     max_competitor_ratio: Annotated[float, Range(0.0, 1.0)] = 0.5
     """Largest number of matches that agree with another pose, relative to those of the accepted one."""
     max_tilt_sigmas: Annotated[float, Range(0.1, 100.0)] = 3.0
     """Largest deviation from the directions of gravity, in standard deviations."""
     max_position_m: Annotated[float, Range(1e-4, 10.0)] = 0.05
-    """Tolerance of the position [m], to which `max_position_ratio` is added: a third of it is the largest
-    standard deviation, and the whole the largest difference between the poses of the two directions."""
-    max_position_ratio: Annotated[float, Range(0.0, 1.0)] = 0.02
-    """Tolerance of the position, relative to the median depth of the landmarks."""
+    """Tolerance of the position [m], to which a share of the depth is added: a third of it is the largest standard
+    deviation, and the whole the largest difference between the poses of the two directions."""
     max_rotation_deg: Annotated[float, Range(0.01, 90.0)] = 1.0
     """Tolerance of the rotation [°], used as that of the position."""
     max_distance_m: Annotated[float, Range(0.01, 1000.0)] = 3.0
@@ -137,13 +137,13 @@ def verify(query: MapKeyframe, match: MapKeyframe, rig: Rig, config: Verificatio
     inliers = int(is_old.sum()), int(is_new.sum())
     if not _are_enough(*inliers, c) or sum(inliers) < c.min_inlier_ratio * (len(old) + len(new)):
         return Rejection("inliers")
-    if min(_spread(old.xy[is_old]), _spread(new.xy[is_new])) < c.min_spread:
+    if min(_spread(old.xy[is_old]), _spread(new.xy[is_new])) < MIN_SPREAD:
         return Rejection("spread")
     if pose.tilt_sigmas > c.max_tilt_sigmas:
         return Rejection("gravity")
     if np.linalg.norm(pose.T_match_query[:3, 3]) > c.max_distance_m:
         return Rejection("distance")
-    tolerance_m = c.max_position_m + c.max_position_ratio * depth_m
+    tolerance_m = c.max_position_m + MAX_POSITION_RATIO * depth_m
     tolerance_rad = np.radians(c.max_rotation_deg)
     if not pose.is_certain(tolerance_m / 3.0, tolerance_rad / 3.0):
         return Rejection("covariance")
