@@ -62,17 +62,41 @@ def grouped_frames(
         return FrameGroups(stamps[0], rows, np.zeros_like(rows))
     tolerance_ns = _half_interval_ns(stamps) if tolerance_s is None else round(tolerance_s * 1e9)
     exposed = [of + offset for of, offset in zip(stamps, offsets_ns, strict=True)]
-    rows = np.concatenate(_groups(exposed, tolerance_ns))
-    present = rows != ABSENT
-    of_image = np.stack(
-        [of[np.maximum(column, 0)] if len(of) else 0 * column for of, column in zip(stamps, rows.T, strict=True)],
-        axis=1,
-    )
-    t_ns = of_image[np.arange(len(rows)), present.argmax(axis=1)]
+    rows, t_ns = _sorted(np.concatenate(_groups(exposed, tolerance_ns)), stamps)
+    # Images of a camera in another order than the frames are frames of their own
+    while np.any(crossing := _crossing(rows)):
+        alone = np.full((np.count_nonzero(crossing), len(stamps)), ABSENT, dtype=np.int64)
+        frame, camera = np.nonzero(crossing)
+        alone[np.arange(len(alone)), camera] = rows[frame, camera]
+        rows, t_ns = _sorted(np.concatenate([np.where(crossing, ABSENT, rows), alone]), stamps)
+    present, of_image = rows != ABSENT, _stamps_of(rows, stamps)
+    delays_ns = np.where(present, of_image - t_ns[:, None], 0)
+    return FrameGroups(t_ns, rows, _without_noise(delays_ns, present))
+
+
+def _stamps_of(rows: Rows, stamps: Sequence[Times]) -> Times:
+    """Return the time stamps (M, C) of images [ns]; arbitrary ones where they are absent."""
+    columns = zip(stamps, rows.T, strict=True)
+    return np.stack([of[np.maximum(column, 0)] if len(of) else 0 * column for of, column in columns], axis=1)
+
+
+def _sorted(rows: Rows, stamps: Sequence[Times]) -> tuple[Rows, Times]:
+    """Return frames in the order of their times, and these (M,) [ns]; of several at one time, the first."""
+    rows = rows[(rows != ABSENT).any(axis=1)]
+    t_ns = _stamps_of(rows, stamps)[np.arange(len(rows)), (rows != ABSENT).argmax(axis=1)]
     order = np.argsort(t_ns, kind="stable")
     order = order[np.concatenate([[True], np.diff(t_ns[order]) > 0])] if len(order) else order
-    delays_ns = np.where(present, of_image - t_ns[:, None], 0)[order]
-    return FrameGroups(t_ns[order], rows[order], _without_noise(delays_ns, present[order]))
+    return rows[order], t_ns[order]
+
+
+def _crossing(rows: Rows) -> npt.NDArray[np.bool_]:
+    """Return which images (M, C) of frames with several come after a later one of their camera, or else before one."""
+    present, beyond = rows != ABSENT, np.full((1, rows.shape[1]), np.iinfo(np.int64).max)
+    before = np.vstack([np.full_like(beyond, ABSENT), np.maximum.accumulate(rows, axis=0)[:-1]])
+    after = np.minimum.accumulate(np.vstack([np.where(present, rows, beyond)[1:], beyond])[::-1], axis=0)[::-1]
+    shared = present & (present.sum(axis=1, keepdims=True) > 1)
+    late = shared & (rows < before)
+    return np.asarray(late if late.any() else shared & (rows > after), dtype=np.bool_)
 
 
 def _groups(exposed: Sequence[Times], tolerance_ns: int) -> list[Rows]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dronevio.models.defects import DefectKind, count_defects, defect_values, defects_text, refuse_defects
@@ -239,6 +239,7 @@ def test_rows_are_those_of_a_stable_sort(t: list[int]) -> None:
 
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.sets(st.integers(0, 200), min_size=1), min_size=1, max_size=4), st.integers(0, 5))
+@example([{0, 183}, {0, 182, 183}, {0, 179, 187}], 5)
 def test_each_image_belongs_to_one_frame(of_cameras: list[set[int]], tolerance: int) -> None:
     """No image is lost unless one camera has two within the tolerance; the images of a frame are within it."""
     t_ns: list[Times] = [np.array(sorted(of), dtype=np.int64) for of in of_cameras]
