@@ -106,6 +106,10 @@ def test_all_options_are_tested() -> None:
     assert {*TRACKING, *STARTED, *OTHERS} == set(ESTIMATOR)
 
 
+LONG = {name for name in OTHERS if "gravity" in name or name.startswith(("health.", "smoother.", "initialization."))}
+"""Options whose flights take seconds."""
+
+
 @pytest.mark.parametrize("name", TRACKING)
 def test_options_change_the_tracks(name: str, render_wall: RenderWall) -> None:
     assert tracks(render_wall, config_with(name, TRACKING[name])) != tracks(render_wall, VioConfig())
@@ -117,7 +121,7 @@ def test_options_change_the_estimates(name: str, flight: "SyntheticFlight", defa
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] if "gravity" in name else []) for name in OTHERS]
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in LONG else []) for name in OTHERS]
 )
 def test_options_change_the_estimates_of_other_flights(
     name: str, make_flight: Callable[..., "SyntheticFlight"]

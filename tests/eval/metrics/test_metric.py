@@ -73,6 +73,7 @@ def flight() -> tuple[Trajectory, Trajectory]:
     return truth, replace(truth, p_world_imu=p + [[0, 0, 0.1], [0, 0, -0.1], [0, 0, 0.1], [0, 0, -0.1]])
 
 
+@pytest.mark.slow
 def test_a_metric_is_added_in_one_place(tmp_path: Path) -> None:
     """Scores, JSON, terminal, columns of rows and their files, tables and units follow from its declaration."""
     write_rows(tmp_path / "older.parquet", [row_of("room-v0", "room", 0, "vio", ate_m=0.1)])
