@@ -106,10 +106,6 @@ def test_all_options_are_tested() -> None:
     assert {*TRACKING, *STARTED, *OTHERS} == set(ESTIMATOR)
 
 
-LONG = {name for name in OTHERS if "gravity" in name or name.startswith(("health.", "smoother.", "initialization."))}
-"""Options whose flights take seconds."""
-
-
 @pytest.mark.parametrize("name", TRACKING)
 def test_options_change_the_tracks(name: str, render_wall: RenderWall) -> None:
     assert tracks(render_wall, config_with(name, TRACKING[name])) != tracks(render_wall, VioConfig())
@@ -120,9 +116,8 @@ def test_options_change_the_estimates(name: str, flight: "SyntheticFlight", defa
     assert states(flight, config_with(name, STARTED[name])) != default_states
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in LONG else []) for name in OTHERS]
-)
+@pytest.mark.slow  # flights of seconds
+@pytest.mark.parametrize("name", OTHERS)
 def test_options_change_the_estimates_of_other_flights(
     name: str, make_flight: Callable[..., "SyntheticFlight"]
 ) -> None:
