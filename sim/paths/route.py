@@ -25,8 +25,10 @@ Index = npt.NDArray[np.int64]
 
 _SPACING_M = 0.05  # between the points at which clearance is evaluated
 _GUARD_M = 0.005  # more than clearance can fall between two of them: 0.8 mm at 0.4 m from an edge
+_LEAST_GUARD_M = 0.001  # the same after `_ROUNDS`: legs themselves may have less clearance than margin and guard
 _SWING_M = 0.1  # preferred additional clearance of a detour, for the deviation of the curve
-_ROUNDS = 9  # largest number of bisections of a leg: to 1/512
+_ROUNDS = 9  # number of bisections of a leg, to 1/512, with the larger guard
+_MAX_ROUNDS = 18  # largest number of bisections
 _GRID_NODES = 20_000  # of the coarsest search grid
 _CELL_M = (0.25, 0.6)  # smallest and largest width of its cells
 _REFINEMENTS = 2  # number of refinements of the grid if no route is found
@@ -89,9 +91,9 @@ def collision_free_curve(space: Space, points: Array, margin_m: float, limits: L
         ConfigError: A waypoint is too close to a surface for the curve around it.
     """
     knots = minimum_time_knots(points, limits)
-    for _ in range(_ROUNDS):
+    for n in range(_MAX_ROUNDS):
         low = _curve_clearances(space, knots, points)
-        close = low < margin_m + _GUARD_M
+        close = low < margin_m + (_GUARD_M if n < _ROUNDS else _LEAST_GUARD_M)
         if not close.any():
             return knots, points
         halves = np.flatnonzero(close) + 1

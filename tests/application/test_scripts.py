@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dronevio
@@ -48,6 +48,7 @@ def test_errors_of_the_physics_shrink_with_the_step(physics_rates: Any) -> None:
     np.testing.assert_array_equal(again.position_m, reference.position_m)
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(0, 30), min_size=1, max_size=6))
 def test_numbers_are_lists_and_ranges(measuring: Any, numbers: list[int]) -> None:
     assert measuring.numbers(",".join(map(str, numbers))) == tuple(dict.fromkeys(numbers))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dronevio.models.errors import ConfigError
@@ -73,6 +73,8 @@ def test_a_curve_leads_through_the_door(level: str) -> None:
 @pytest.mark.slow
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=12, deadline=None)
+@example(seed=2381)  # legs with little more than the margin
+@example(seed=2802)
 def test_curves_keep_clear_of_random_obstacles(seed: int) -> None:
     rng = np.random.default_rng(seed)
     boxes = [(list(rng.uniform([1.5, 1.0, 0.5], [8.5, 5.0, 2.0])), list(rng.uniform(0.1, 0.5, 3))) for _ in range(6)]
