@@ -17,7 +17,7 @@ from dronevio.models.recordings.tum import write_tum
 from dronevio.models.state import Trajectory
 from tests.rows import row_of
 
-ROOT = Path(__file__).parents[3]
+PAGE = Path(__file__).parents[3] / "docs" / "benchmark.md"
 
 
 ADDED = """    p90_m: float = computed(
@@ -117,8 +117,9 @@ def test_every_metric_has_its_unit_in_its_name() -> None:
     assert len(set(columns)) == len(columns) == len(fields(Row)) - 1 + len(STORED_METRICS)
 
 
+@pytest.mark.skipif(not PAGE.is_file(), reason="not a checkout")
 def test_the_columns_are_documented() -> None:
-    page = (ROOT / "docs" / "benchmark.md").read_text(encoding="utf-8")
+    page = PAGE.read_text(encoding="utf-8")
     table = page[page.index("## Columns") : page.index("## Comparison and")]
     documented = set(re.findall(r"`(\w+)`", table))
     assert {*Row("", "", None, "", "", "", "ok").columns} <= documented
