@@ -85,11 +85,14 @@ def test_another_time_offset_withdraws_the_causes(vio: VisualInertialOdometry) -
     for k in range(2):
         at = replace(packet, t_ns=packet.t_ns + k * MIN_CAUSE_NS)
         parts.publisher.not_initialized(at, NotObservable("the landmarks disagree", Cause.MOTION_DISAGREES))
-    assert parts.publisher.has_stated_cause
-    before_s, offset = vio.time_offset_s, RotationOffset(0.05, 0.001, explained=1.0, ambiguity=0.1, gain=9.0)
+    stated = [parts.publisher.has_stated_cause]
+    before_s, offset = (
+        vio.time_offset_s,
+        RotationOffset(0.05, 0.001, explained=1.0, ambiguity=0.1, gain=9.0, is_inside=True),
+    )
     state = with_offset(parts, vio._state, packet, offset)
     assert isinstance(state.phase, Initializing) and state.phase.is_consistent
-    assert not parts.publisher.has_stated_cause
+    assert [*stated, parts.publisher.has_stated_cause] == [True, False]
     assert vio.time_offset_s == pytest.approx(before_s + 0.05, abs=1e-12)
     assert state.estimate.events[-1].startswith("time offset")
 
@@ -151,16 +154,14 @@ def test_images_of_another_place_are_noticed_after_missing_ones(missing: int) ->
     rig = euroc_rig()
     model = rig.cameras[0].model
     front_end = ScriptedFrontEnd([range(50), range(50), *[range(0)] * missing, range(100, 150)])
-    pipeline = MeasurementPipeline(rig, VioConfig(), front_end)  # type: ignore[arg-type]
+    pipeline = MeasurementPipeline(rig, VioConfig(), front_end)
     t_ns = np.arange(0, 10**9, 5_000_000, dtype=np.int64)
     pipeline.add_imu(ImuSamples(t_ns, np.zeros((len(t_ns), 3)), np.tile([0.0, 0.0, 9.81], (len(t_ns), 1))))
     calibration = VisualInertialOdometry(rig)._parts.calibration
     bias = VisualInertialOdometry(rig)._parts.origin.gyro_bias
     images, connected = [True, True, *[False] * missing, True], []
     for k, has_image in enumerate(images):
-        image = (
-            np.full((rig.cameras[0].model.height, rig.cameras[0].model.width), k, np.uint8) if has_image else NO_IMAGE
-        )
+        image = np.full((model.height, model.width), k, np.uint8) if has_image else NO_IMAGE
         packet = pipeline.process(CameraFrame(k * FRAME_NS, (image,)), calibration, bias)
         assert packet.has_image is has_image
         connected += [pipeline.is_connected(packet)] if has_image else []
