@@ -95,6 +95,13 @@ def test_a_first_state_that_contradicts_the_images_is_held_back() -> None:
     assert published(agreeing, 2 * 10**9 + 1, contradicting)  # after a loss, a pose is better than none
 
 
+def test_a_first_state_with_aliased_vibration_is_published_with_the_cause() -> None:
+    """Vibration is no contradiction of images and IMU, so that waiting for another time offset does not help."""
+    estimate = new_publisher().estimate(packet(), state(0.01), replace(TRACKED, is_noise_aliased=True))
+    assert estimate.state is not None and estimate.health is Health.INERTIAL_ONLY
+    assert estimate.events == ("initialized", f"probable cause: {Cause.EXCESSIVE_NOISE}")
+
+
 def test_repeated_images_and_outliers_are_stated() -> None:
     publisher = new_publisher()
 
