@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.dense.config import ConsistencyConfig
-from dronevio.estimator.dense.views import Pinhole
 from dronevio.models.arrays import Array, Floats, Mask
+from dronevio.models.depth import Pinhole
 
 MAX_DEPTH_RATIO = 0.01
 """Largest relative difference between a depth and that of the other depth map."""

@@ -10,36 +10,13 @@ import numpy as np
 from dronevio.estimator.dense.config import ViewConfig
 from dronevio.models.arrays import Array, Floats, Image, Mask
 from dronevio.models.camera import CameraModel
+from dronevio.models.depth import Pinhole
 from dronevio.models.errors import InputError
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.reconstruction import Reconstruction
 
 _CACHED_VIEWS = 24  # images in memory
 _BORDER_SAMPLES = 65  # on the central row and column, whose undistorted positions bound the new image
-
-
-@dataclass(frozen=True, eq=False)
-class Pinhole:
-    """Pinhole camera without distortion; pixel centres have integer coordinates."""
-
-    width: int
-    """Number of columns [px]."""
-    height: int
-    """Number of rows [px]."""
-    K: Array
-    """(3, 3) Intrinsic matrix [px]."""
-
-    def halved(self) -> "Pinhole":
-        """Return the camera of the image at half the resolution, in which a pixel is the mean of four."""
-        width, height = -(-self.width // 2), -(-self.height // 2)
-        S = np.array([[0.5, 0.0, -0.25], [0.0, 0.5, -0.25], [0.0, 0.0, 1.0]])
-        return Pinhole(width, height, S @ self.K)
-
-    def rays(self) -> Floats:
-        """Return the rays (H, W, 3) of all pixels in the camera frame, at depth 1."""
-        u, v = np.meshgrid(np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64))
-        x, y = (u - self.K[0, 2]) / self.K[0, 0], (v - self.K[1, 2]) / self.K[1, 1]
-        return np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,8 @@ from dronevio.estimator.dense.fusion import fuse, surface_normals
 from dronevio.estimator.dense.mesh import build_mesh, vertex_normals, without_small_parts
 from dronevio.estimator.dense.pipeline import DenseResult, densify, estimate_depths
 from dronevio.estimator.dense.tsdf import integrate, pixel_size
-from dronevio.estimator.dense.views import Pinhole, ViewLoader
+from dronevio.estimator.dense.views import ViewLoader
+from dronevio.models.depth import Pinhole
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.surfaces import PointCloud
 
