@@ -42,4 +42,4 @@ class LogOdds:
         states = np.full(self.values.shape, UNKNOWN, np.uint8)
         states[self.values <= FREE_BELOW] = FREE
         states[self.values >= OCCUPIED_ABOVE] = OCCUPIED
-        return OccupancyGrid(self.low * cell_m, cell_m, states)
+        return OccupancyGrid(cell_m * self.low.astype(np.float64), cell_m, states)
