@@ -58,8 +58,10 @@ def _outside(box: Box, px_per_m: float, sides_px_per_m: float, top: bool = True)
     return faces
 
 
-def loaded_pallet(rng: Random, stock: Stock, R: Array, position: Array, most_m: float) -> tuple[list[Face], float]:
-    """Return the faces of a pallet with its load, and its height [m].
+def loaded_pallet(
+    rng: Random, stock: Stock, R: Array, position: Array, most_m: float
+) -> tuple[list[Face], tuple[Box, Box]]:
+    """Return the visible faces of a pallet with its load, and the boxes of both.
 
     Args:
         rng: Draws what lies on it.
@@ -69,12 +71,15 @@ def loaded_pallet(rng: Random, stock: Stock, R: Array, position: Array, most_m: 
         most_m: Height of the space for it [m].
     """
     foot = Box(np.array([0.0, 0.0, 0.5 * PALLET_M[2]]), 0.5 * PALLET_M, textures_storage.pallet)
-    faces = _outside(foot.moved(R, position), _SIDE_PX_PER_M, _SIDE_PX_PER_M, top=False)
+    foot = foot.moved(R, position)
+    faces = _outside(foot, _SIDE_PX_PER_M, _SIDE_PX_PER_M, top=False)
     number, tall = int(rng.integers(len(stock.images))), float(rng.uniform(0.55, 0.95)) * (most_m - PALLET_M[2])
     half = 0.5 * np.array([PALLET_M[0] - rng.uniform(0.02, 0.14), PALLET_M[1] - rng.uniform(0.02, 0.14), tall])
     load = Box(np.array([rng.uniform(-0.02, 0.02), 0.0, PALLET_M[2] + half[2]]), half, stock.side(number))
-    faces += _outside(load.moved(R, position), _LOAD_PX_PER_M, _SIDE_PX_PER_M)
-    return list(parts_of(Instance("pallet"), faces)), float(PALLET_M[2] + tall)
+    load = load.moved(R, position)
+    faces += _outside(load, _LOAD_PX_PER_M, _SIDE_PX_PER_M)
+    pallet = Instance("pallet")
+    return list(parts_of(pallet, faces)), parts_of(pallet, (foot, load))
 
 
 @single_instance
