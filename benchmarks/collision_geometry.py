@@ -14,8 +14,8 @@ from collections import Counter
 import mujoco
 import numpy as np
 import numpy.typing as npt
-
 from measuring import print_rows
+
 from dronevio.models.arrays import Array
 from dronevio.sim.world import WORLDS, collision_spec, flight_area, instance_spec, solid_space
 

@@ -137,7 +137,7 @@ def _goods(rng: Random, stock: Stock, R: Array, back: Array) -> tuple[list[Surfa
             if rng.random() > _EMPTY:
                 inside = np.array([x + rng.uniform(-0.02, 0.02), 0.54 + rng.uniform(-0.03, 0.03), level])
                 turned = R @ rotation_z(rng.uniform(-0.02, 0.02))
-                seen, boxes = loaded_pallet(rng, stock, turned, R @ inside + back, float(room))
+                seen, boxes, _ = loaded_pallet(rng, stock, turned, R @ inside + back, float(room))
                 faces, loads = faces + seen, loads + [*boxes]
     return faces, loads
 
@@ -197,10 +197,10 @@ def _loading_area(
         tall = 0.0
         R = rotation_z((0.0 if y < 0.0 else np.pi) + rng.uniform(-0.08, 0.08))
         for _ in range(int(rng.integers(1, 3))):
-            faces, loads = loaded_pallet(rng, stock, R, np.array([x, y, tall]), 1.25)
+            faces, loads, height = loaded_pallet(rng, stock, R, np.array([x, y, tall]), 1.25)
             shell += faces
             filling += loads
-            tall = float(tall + 2.0 * (loads[0].half[2] + loads[1].half[2]))
+            tall += height
         half = np.array([0.6, 0.58, 0.5 * tall])
         obstacles.append(Box(np.array([x, y, half[2]]), half, partial(textures.plain, colour=METAL), R=R))
     return filling
