@@ -215,7 +215,7 @@ class BatchPlant:
         rotors = self._rotors.step(now.rotors, commands, self.interval_s)
         motion = self._simulation.motion(_ALL)
         wrench = self._rotors.wrench(rotors, self._airflow(motion, _ALL))
-        self._simulation.place_movers(_ALL, (now.elapsed + 1) * self.interval_s)
+        self._simulation.place_movers(_ALL, np.asarray((now.elapsed + 1) * self.interval_s, np.float64))
         flown = self._simulation.run(_ALL, motion, wrench, now.touched, diverged)
         between, samples = now.velocity_between, now.samples
         if flown.middle is not None:

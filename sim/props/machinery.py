@@ -55,8 +55,8 @@ class Kit:
     def as_instance(self, kind: str) -> "Kit":
         """Return the object as one instance of a kind."""
         thing = Instance(kind)
-        boxes, sheets, filling = (parts_of(thing, part) for part in (self.boxes, self.sheets, self.filling))
-        return replace(self, boxes=boxes, sheets=sheets, filling=filling)
+        boxes, filling = (parts_of(thing, part) for part in (self.boxes, self.filling))
+        return replace(self, boxes=boxes, sheets=parts_of(thing, self.sheets), filling=filling)
 
 
 def kit_of(boxes: Sequence[Box], parts: Sequence[Kit] = ()) -> Kit:

@@ -113,9 +113,9 @@ def layout(rng: Random, light: Random | None = None) -> Layout:
     stones = tuple(Sheet(grid, stone, pixels_per_m=160.0, instance=Instance("boulder")) for grid, _ in boulders)
     shade = [_shade(place, radius) for _, place, radius in plantation]
     filling = [box for plant in growing for box in plant.filling]
-    for stone in stones:
-        inside = vegetation.filled(vegetation.sampled_quads(quads_of(stone.grid), 9))
-        filling += parts_of(stone.instance, inside)
+    for boulder in stones:
+        inside = vegetation.filled(vegetation.sampled_quads(quads_of(boulder.grid), 9))
+        filling += parts_of(boulder.instance, inside)
     obstacles = [box for plant in growing for box in plant.obstacles] + [box for _, box in boulders]
     wood = tuple(part for plant in growing for part in plant.wood)
     leaves = tuple(part for plant in growing for part in plant.leaves)

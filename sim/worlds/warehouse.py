@@ -46,7 +46,7 @@ def layout(rng: Random) -> Layout:
         place = np.array([_RACK_X_M, y, 0.0])
         pieces.append(rack(_BAYS, _BAY_M, _DEPTH_M, _LEVELS_M, _HEIGHT_M).moved(rotation_z(turn), place))
         faces, loads = _goods(rng, stock, rotation_z(turn), place)
-        shell, filling = shell + faces, filling + loads
+        shell, filling = [*shell, *faces], [*filling, *loads]
         shading += _shelves(rotation_z(turn), place)
     obstacles = _rack_hulls()
     filling += _loading_area(rng, stock, pieces, obstacles, shell)
@@ -138,7 +138,7 @@ def _goods(rng: Random, stock: Stock, R: Array, back: Array) -> tuple[list[Surfa
                 inside = np.array([x + rng.uniform(-0.02, 0.02), 0.54 + rng.uniform(-0.03, 0.03), level])
                 turned = R @ rotation_z(rng.uniform(-0.02, 0.02))
                 seen, boxes, _ = loaded_pallet(rng, stock, turned, R @ inside + back, float(room))
-                faces, loads = faces + seen, loads + [*boxes]
+                faces, loads = [*faces, *seen], [*loads, *boxes]
     return faces, loads
 
 
