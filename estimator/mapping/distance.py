@@ -1,8 +1,9 @@
 """Euclidean distance field of an occupancy grid.
 
-The distance transform is separable (Felzenszwalb and Huttenlocher, "Distance transforms of sampled functions", Theory of
-Computing 2012): OpenCV's transform of each horizontal slice, then the lower envelope of the parabolas along the third
-axis.
+The distance transform is separable: OpenCV's transform of each horizontal slice, then the lower envelope of the
+parabolas along the third axis.
+
+Source: Felzenszwalb and Huttenlocher, "Distance transforms of sampled functions", Theory of Computing 2012.
 """
 
 import cv2

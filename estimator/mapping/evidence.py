@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from dronevio.estimator.mapping.nearest_depth import NearestDepths, Values
+from dronevio.estimator.mapping.nearest_depth import NearestDepths, Pixels, Values
 from dronevio.models.arrays import Array, Floats, Integers
 from dronevio.models.depth import DepthImage, Pinhole
 
@@ -22,7 +22,7 @@ FREE_SIGMAS = 2.0
 FULL_BLOCKS = 3.0
 """Number of blocks of pixels whose points in a cell are full evidence that it is occupied."""
 _UNKNOWN_PX = 3
-"""Side of the smallest area of unknown pixels behind which something may hide; smaller ones take part in no footprint."""
+"""Side of the smallest area of unknown pixels in which something may hide; smaller ones are ignored [px]."""
 _STEPS = 65535.0
 """Steps of the quantized depths."""
 
@@ -108,7 +108,7 @@ def _free_to(depth: DepthImage, far_m: float) -> Values:
 
 def _cells_in_view(
     low: Integers, shape: tuple[int, int, int], depth: DepthImage, cell_m: float, near_m: float, far_m: float
-) -> tuple[Integers, Floats, Integers, Integers]:
+) -> tuple[Pixels, Floats, Pixels, Pixels]:
     """Return the cells of a box whose centres are in view between two depths.
 
     Each column of cells along the third axis leaves the half-spaces of the frustum at a cell that follows from a
@@ -157,7 +157,8 @@ def _cells_in_view(
     u = (np.repeat(start[0], count) + np.float32(step[0]) * k) * inverse
     v = (np.repeat(start[1], count) + np.float32(step[1]) * k) * inverse
     cells = np.repeat((seen * shape[2]).astype(np.int32) + begin_of, count) + within
-    return cells, z, (u + np.float32(0.5)).astype(np.int32), (v + np.float32(0.5)).astype(np.int32)
+    column, row = ((pixel + np.float32(0.5)).astype(np.int32) for pixel in (u, v))
+    return np.asarray(cells), np.asarray(z), column, row
 
 
 def _add_occupied(

@@ -1,6 +1,7 @@
 """The nearest depth in square windows of an image, for windows of any size around any pixel."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ _LEAST_BLOCKS = 4
 """Least half side of a window in blocks of pixels; fewer would make it much wider than the footprint."""
 
 Values = npt.NDArray[np.uint16]
+Pixels = npt.NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +47,13 @@ class NearestDepths:
         while (wider := max(radii[-1] + 1, int(_GROWTH * radii[-1]))) * block <= most:
             radii.append(wider)
         least = np.empty((len(radii), *values.shape), np.uint16)
-        source = values
+        source: npt.NDArray[Any] = values
         for level, step in enumerate(np.diff(radii, prepend=0)):
             window = np.ones((2 * int(step) + 1, 2 * int(step) + 1), np.uint8)
             source = cv2.erode(source, window, dst=least[level], borderType=cv2.BORDER_CONSTANT, borderValue=0)
         return NearestDepths(block, np.array(radii) * block, least)
 
-    def at(self, column: Integers, row: Integers, radius_px: Integers) -> Values:
+    def at(self, column: Pixels, row: Pixels, radius_px: Pixels) -> Values:
         """Return the least values (N,) in windows around pixels.
 
         Args:
