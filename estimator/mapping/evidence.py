@@ -1,12 +1,12 @@
 """Evidence of a depth image about the cells of a lattice: log-odds of being occupied.
 
-A cell is free if all of it lies in front of the nearest depth that any pixel of its footprint in the image can have. It
-is occupied if the point of a pixel lies in it. Behind surfaces nothing is known.
+A cell is free if all of it lies in front of the nearest depth that any pixel of its footprint in the image can have;
+a pixel of unknown depth may have any. It is occupied if the point of a pixel lies in it. Behind surfaces nothing is
+known.
 """
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from dronevio.estimator.mapping.nearest_depth import NearestDepths, Pixels, Values
@@ -15,14 +15,12 @@ from dronevio.models.depth import DepthImage, Pinhole
 
 FREE_LOG_ODDS = -0.4
 """Log-odds of a cell in front of the depths of its footprint."""
-OCCUPIED_LOG_ODDS = 0.85
+OCCUPIED_LOG_ODDS = 1.5
 """Log-odds of a cell that contains a depth without error."""
 FREE_SIGMAS = 2.0
 """Standard deviations in front of a depth of which nothing is said."""
 FULL_BLOCKS = 3.0
 """Number of blocks of pixels whose points in a cell are full evidence that it is occupied."""
-_UNKNOWN_PX = 3
-"""Side of the smallest area of unknown pixels in which something may hide; smaller ones are ignored [px]."""
 _STEPS = 65535.0
 """Steps of the quantized depths."""
 
@@ -98,12 +96,9 @@ def _add_free(
 
 
 def _free_to(depth: DepthImage, far_m: float) -> Values:
-    """Return up to which depth each pixel is free (H, W), in steps of ``far_m`` / 65535."""
-    free_to = np.clip((depth.depth_m - FREE_SIGMAS * depth.sigma_m) * (_STEPS / far_m), 0.0, _STEPS).astype(np.uint16)
-    unknown = (depth.depth_m <= 0.0).astype(np.uint8)
-    areas = cv2.morphologyEx(unknown, cv2.MORPH_OPEN, np.ones((_UNKNOWN_PX, _UNKNOWN_PX), np.uint8))
-    free_to[(unknown > areas)] = int(_STEPS)
-    return free_to
+    """Return up to which depth each pixel is free (H, W), in steps of ``far_m`` / 65535; 0 where it is unknown."""
+    free_to = (depth.depth_m - FREE_SIGMAS * depth.sigma_m) * (_STEPS / far_m)
+    return np.clip(free_to, 0.0, _STEPS).astype(np.uint16)
 
 
 def _cells_in_view(
