@@ -1,7 +1,5 @@
 """Pose of a camera of the rig at the middle of its exposure, from the state at the time stamp of the frame."""
 
-import numpy as np
-
 from dronevio.models.arrays import Array
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3

@@ -23,28 +23,30 @@ from dronevio.models.depth import DepthImage
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate
 
-NEAREST_M = 0.35
+NEAREST_M = 0.4
 """Smallest depth that is searched [m]."""
-WINDOW_PX = 7
-"""Side of the window of the least-squares step [px]."""
+WINDOW_PX = (5, 5)
+"""Width and height of the window of the least-squares step [px]."""
 NOISE_GREY = 2.0
 """Standard deviation of the difference of two images at a pixel [grey values]."""
-FLOOR_PX = 0.1
+MIN_CORRELATION = 0.8
+"""Smallest correlation of the windows of the two images."""
+FLOOR_PX = 0.13
 """Standard deviation of the disparity by calibration, interpolation and slanted surfaces [px]."""
 MAX_SIGMA_PX = 0.6
 """Largest standard deviation of a disparity that is used [px]."""
-MAX_STEP_PX = 1.0
+MAX_STEP_PX = 0.6
 """Largest step from the disparity of the matcher [px]."""
-MAX_CHANGE_PX = 1.0
-"""Change of the disparity between neighbouring pixels above which a surface hides another one [px]."""
-HIDDEN_PX = 2
-"""Width of the band beside a nearer surface in which the farther one is left out [px]."""
+MAX_CHANGE_PX = 0.8
+"""Change of the disparity within a band above which there is an edge [px]."""
+EDGE_PX = 3
+"""Width of the bands on both sides of an edge in which disparities are left out [px]."""
 MAX_SHIFT_PX = 1.0
 """Largest shift between the images by motion between two exposures [px]."""
 MATCH_BLOCK_PX = 5
 _SMALL_PENALTY, _LARGE_PENALTY = 8, 32  # of the matcher, for each pixel of a block
-_UNIQUENESS, _CONSISTENCY_PX = 12, 1
-_SPECKLE_PX, _SPECKLE_RANGE_PX = 60, 1
+_UNIQUENESS, _CONSISTENCY_PX = 15, 1
+_SPECKLE_PX, _SPECKLE_RANGE_PX, _SMALLEST_PX = 300, 1, 40
 _FIXED = 16.0  # the matcher returns sixteenths
 
 
@@ -111,7 +113,8 @@ class StereoDepth:
         u = np.clip(np.rint(self._columns - disparity), 0, left.shape[1] - 1).astype(np.int32)
         known &= self._pair.maps[0].mask & self._pair.maps[1].mask[self._rows.astype(np.int32), u]
         known &= (disparity > 0.0) & (np.abs(step) <= MAX_STEP_PX) & (sigma <= MAX_SIGMA_PX)
-        known &= ~beside_nearer(coarse, MAX_CHANGE_PX, HIDDEN_PX)
+        known &= ~at_edge(np.where(known, coarse, np.float32(0.0)), coarse)
+        known &= ~_speckles(np.where(known, disparity, np.float32(0.0)))
         sigma = np.sqrt(sigma * sigma + np.float32(FLOOR_PX**2 + shift_px**2))
         zero = np.float32(0.0)
         return np.where(known, disparity, zero), np.where(known, sigma, zero)
@@ -142,10 +145,12 @@ class StereoDepth:
         gg = np.maximum(_box(g * g) - g_mean * g_mean, np.float32(1e-3))
         ge = _box(g * e) - g_mean * e_mean
         ee = np.maximum(_box(e * e) - e_mean * e_mean - ge * ge / gg, np.float32(0.0))
-        n = np.float32(WINDOW_PX**2)
+        L_mean = _box(L)
+        unlike = ee > np.float32(1.0 - MIN_CORRELATION**2) * (_box(L * L) - L_mean * L_mean)
+        n = np.float32(WINDOW_PX[0] * WINDOW_PX[1])
         variance = np.maximum(ee * n / (n - np.float32(2.0)), np.float32(NOISE_GREY**2)) / (n * gg)
         # x − d moves to the left as d grows: R(x − d₀ − s) = R − g s, so that L − R = −g s
-        return -ge / gg, np.sqrt(variance)
+        return -ge / gg, np.where(unlike, np.float32(math.inf), np.sqrt(variance))
 
     def _shift_px(self, frame: CameraFrame, estimate: Estimate) -> float:
         """Return how far the right image moves between the two exposures, at the smallest depth of free flight [px]."""
@@ -157,11 +162,30 @@ class StereoDepth:
         return abs(between_s) * (turn + moved) * float(self._pair.camera.K[0, 0])
 
 
-def beside_nearer(disparity: Floats, change_px: float, width_px: int) -> Mask:
-    """Return where (H, W) a surface with a disparity larger by more than a change lies within a number of pixels."""
-    side = 2 * width_px + 1
-    nearest = cv2.dilate(disparity, np.ones((side, side), np.uint8))
-    return np.asarray(nearest > disparity + np.float32(change_px))
+def at_edge(disparity: Floats, matched: Floats) -> Mask:
+    """Return where (H, W) disparities are left out because the depth jumps.
+
+    Windows at an edge see both surfaces, so that the nearer one seems wider than it is, and the farther one is hidden
+    from one camera. What is narrower than the two bands, such as a pole, is kept: to lose it would be worse.
+
+    Args:
+        disparity: (H, W) Disparities that are known, 0 elsewhere.
+        matched: (H, W) Disparities of the matcher, not more than 0 where there is none.
+    """
+    change = np.float32(MAX_CHANGE_PX)
+    square = np.ones((2 * EDGE_PX + 1, 2 * EDGE_PX + 1), np.uint8)
+    farther = cv2.dilate(matched, square) > disparity + change
+    nearer = cv2.erode(np.where(matched > 0.0, matched, np.float32(1e6)), square) < disparity - change
+    kept = cv2.dilate(np.where(farther | nearer, np.float32(0.0), disparity), square)
+    narrow = kept < disparity - change
+    return np.asarray(farther | (nearer & ~narrow))
+
+
+def _speckles(disparity: Floats) -> Mask:
+    """Return where (H, W) disparities are unknown, or belong to small patches that nothing around them supports."""
+    fixed = np.rint(_FIXED * disparity).astype(np.int16)
+    cv2.filterSpeckles(fixed, 0, _SMALLEST_PX, _SPECKLE_RANGE_PX * _FIXED)
+    return np.asarray(fixed == 0)
 
 
 def _derivative(image: Floats) -> Floats:
@@ -172,4 +196,4 @@ def _derivative(image: Floats) -> Floats:
 
 def _box(image: Floats) -> Floats:
     """Return the means (H, W) of the windows."""
-    return np.asarray(cv2.boxFilter(image, cv2.CV_32F, (WINDOW_PX, WINDOW_PX), borderType=cv2.BORDER_REPLICATE))
+    return np.asarray(cv2.boxFilter(image, cv2.CV_32F, WINDOW_PX, borderType=cv2.BORDER_REPLICATE))
