@@ -3,9 +3,9 @@
 import numpy as np
 
 from dronevio.estimator.mapping.config import DenseMapConfig
+from dronevio.estimator.mapping.depth_source import depth_source
 from dronevio.estimator.mapping.evidence import evidence
 from dronevio.estimator.mapping.log_odds import LogOdds
-from dronevio.estimator.mapping.stereo_depth import StereoDepth
 from dronevio.models.depth import DepthImage
 from dronevio.models.occupancy import UNKNOWN, OccupancyGrid, PlacedSubmap
 from dronevio.models.rig import Rig
@@ -31,7 +31,7 @@ class DenseMapper:
     def __init__(self, rig: Rig, config: DenseMapConfig | None = None) -> None:
         """Begin with an empty map."""
         self._config = config or DenseMapConfig()
-        self._source = StereoDepth(rig)
+        self._source = depth_source(rig)
         self._size = np.round(np.array(LOCAL_SIZE_M) / self._config.cell_m).astype(np.int64)
         self._local: LogOdds | None = None
         self._submap: LogOdds | None = None
