@@ -18,6 +18,7 @@ from dronevio.sim.worlds.assembly import (
     add_collision_geoms,
     assembled,
     assembled_instances,
+    instance_quads,
     outline_of,
     seen_surfaces,
     space_of,
@@ -182,6 +183,16 @@ def instance_spec(name: str, seed: int) -> mujoco.MjSpec:
     """
     require_world(name)
     return assembled_instances(WORLDS[name].layout(_generators(seed)[0]))
+
+
+def visible_quads(name: str, seed: int) -> dict[str, Array]:
+    """Return the visible static surfaces of a world: the quadrangles (F, 4, 3) of each instance by its name [m].
+
+    Raises:
+        ConfigError: The world is unknown.
+    """
+    require_world(name)
+    return instance_quads(WORLDS[name].layout(_generators(seed)[0]))
 
 
 def scenery_of(name: str, seed: int, light_seed: int | None = None) -> Scenery:

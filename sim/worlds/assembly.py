@@ -53,19 +53,26 @@ def assembled(layout: Layout, appearance: Appearance) -> mujoco.MjSpec:
 
 def assembled_instances(layout: Layout) -> mujoco.MjSpec:
     """Return the visible geometry of a world without textures, one geom per object instance."""
+    spec = mujoco.MjSpec()
+    quads = instance_quads(layout)
+    _set_up_view(spec, layout, np.concatenate([part.reshape(-1, 3) for part in quads.values()]))
+    for name, part in quads.items():
+        add_instance(spec, spec.worldbody, name, part)
+    for thing in layout.moving:
+        sides = [quads_of(face.grid) for box in thing.boxes for face in box.faces()]
+        add_instance(spec, _add_mover(spec, thing), thing.name, np.concatenate(sides))
+    return spec
+
+
+def instance_quads(layout: Layout) -> dict[str, Array]:
+    """Return the visible static surfaces of a layout: the quadrangles (F, 4, 3) of each object instance by its name."""
     quads: dict[Instance, list[Array]] = {}
     for surface in seen_surfaces(layout):
         quads.setdefault(surface.instance, []).append(quads_of(surface.grid))
     for cutouts in (part for shared in layout.prints for part in shared.cutouts):
         quads.setdefault(cutouts.instance, []).append(cutouts.corners)
-    spec = mujoco.MjSpec()
-    _set_up_view(spec, layout, np.concatenate([part.reshape(-1, 3) for parts in quads.values() for part in parts]))
-    for name, parts in zip(unique_names(quads), quads.values(), strict=True):
-        add_instance(spec, spec.worldbody, name, np.concatenate(parts))
-    for thing in layout.moving:
-        sides = [quads_of(face.grid) for box in thing.boxes for face in box.faces()]
-        add_instance(spec, _add_mover(spec, thing), thing.name, np.concatenate(sides))
-    return spec
+    names = unique_names(quads)
+    return {name: np.concatenate(parts) for name, parts in zip(names, quads.values(), strict=True)}
 
 
 def seen_surfaces(layout: Layout) -> list[Surface]:
