@@ -4,10 +4,21 @@
 SLAM, and of the true depth on the true poses. The dangerous error is false free space: of the true surface that the
 camera saw within 2 m of the path, the share that is more than one cell from every cell that is not free; in the fused
 map at the end, and in the local map, pooled over its uses once a second. The fused map is aligned with the truth by the path in
-position and yaw, the local map by the newest pose. Flights are recorded with a stereo rig and the true depth::
+position and yaw, the local map by the newest pose. Maps on true poses have an odometry frame that is turned and
+shifted, so that walls do not lie between cells. Flights are recorded with a stereo rig and the true depth.
+
+``poles`` flies towards poles of 2, 4 and 8 cm. ``movers`` counts what people and carts leave behind. ``loop`` compares
+the map of a flight that comes back with the same one without the correction of its keyframes. ``taken-back`` compares
+a map after a correction that was wrong for a second with one without it. ``long`` maps two floors in ten minutes, from
+rays instead of images::
 
     dronevio fly --scenario room-easy --rig euroc-stereo --truth-images depth --out /tmp/maps/room
     python benchmarks/dense_map.py worlds /tmp/maps/room /tmp/maps/corridor
+    python benchmarks/dense_map.py poles
+    python benchmarks/dense_map.py movers /tmp/maps/moving
+    python benchmarks/dense_map.py loop /tmp/maps/corridor-lap
+    python benchmarks/dense_map.py taken-back /tmp/maps/room
+    python benchmarks/dense_map.py long
 """
 
 import sys
@@ -20,6 +31,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 from dense_map_runs import MapRun, in_world, runs_of
+from dense_map_scenes import DISTANCES_M, long_rows, loop_rows, mover_rows, pole_rows, taken_back
 from dense_map_truth import SeenSpace, seen_space
 from measuring import Row, opened, print_as_made, text
 
@@ -27,13 +39,14 @@ from dronevio.estimator.mapping import DenseMapConfig
 from dronevio.eval.metrics.occupancy import are_falsely_free, state_shares, surface_scores
 from dronevio.models.arrays import Array, Mask
 from dronevio.models.occupancy import OccupancyGrid
+from dronevio.models.rig_presets import rig_named
 from dronevio.models.state import Trajectory
+from dronevio.sim.scenarios import scenario_named
 
 BOUNDS = {"true poses": 1e-4, "estimate": 1e-3}
 """Largest share of falsely free surface samples, by the poses of the map."""
 MIN_SAMPLES = 10_000
 """Smallest number of surface samples of a world."""
-DISTANCES_M = (0.05, 0.1, 0.2)
 _LOCAL_EVERY_S = 1.0
 
 
@@ -47,6 +60,47 @@ class WorldsCommand:
     """Settings of the map."""
     worst: int = 0
     """Number of places to print at which most falsely free samples lie, for each map."""
+
+
+@dataclass(frozen=True)
+class PolesCommand:
+    """Measure from where poles of 2, 4 and 8 cm are occupied."""
+
+    rig: str = "pinhole-stereo"
+    """Name of a stereo rig."""
+    dense: DenseMapConfig = field(default_factory=DenseMapConfig)
+    """Settings of the map."""
+
+
+@dataclass(frozen=True)
+class _RecordingCommand:
+    recording: tyro.conf.Positional[Path]
+    """Recording of a simulated flight with a stereo rig."""
+    dense: DenseMapConfig = field(default_factory=DenseMapConfig)
+    """Settings of the map."""
+
+
+@dataclass(frozen=True)
+class MoversCommand(_RecordingCommand):
+    """Measure which cells of moving things stay occupied."""
+
+
+@dataclass(frozen=True)
+class LoopCommand(_RecordingCommand):
+    """Compare the map that bends with one that does not."""
+
+
+@dataclass(frozen=True)
+class TakenBackCommand(_RecordingCommand):
+    """Compare the map after a wrong correction with the one without it."""
+
+
+@dataclass(frozen=True)
+class LongCommand:
+    """Measure cost and size of the map over ten minutes and two floors."""
+
+    dense: DenseMapConfig = field(default_factory=DenseMapConfig)
+    """Settings of the map."""
 
 
 @dataclass(eq=False)
@@ -134,10 +188,32 @@ def print_worst(points: Array, wrong: Mask, count: int) -> None:
         print(f"{numbers[row]} falsely free around {0.5 * cubes[row] + 0.25} m", file=sys.stderr)
 
 
-def main(command: WorldsCommand) -> None:
-    """Print the tables of a command."""
-    print_as_made(row for folder in command.recordings for row in rows_of(folder, command))
+def show(command: WorldsCommand | PolesCommand | MoversCommand | LoopCommand | TakenBackCommand | LongCommand) -> None:
+    """Print the table of a command."""
+    if isinstance(command, WorldsCommand):
+        print_as_made(row for folder in command.recordings for row in rows_of(folder, command))
+    elif isinstance(command, PolesCommand):
+        print_as_made(pole_rows(rig_named(command.rig), command.dense))
+    elif isinstance(command, MoversCommand):
+        print_as_made(mover_rows(command.recording, command.dense))
+    elif isinstance(command, LoopCommand):
+        print_as_made(loop_rows(command.recording, command.dense))
+    elif isinstance(command, TakenBackCommand):
+        print(taken_back(command.recording, command.dense))
+    else:
+        floors = [scenario_named("corridor-laps", seed) for seed in range(2)]
+        print_as_made(long_rows(floors, rig_named("euroc-stereo"), command.dense))
+
+
+Command = (
+    Annotated[WorldsCommand, tyro.conf.subcommand("worlds")]
+    | Annotated[PolesCommand, tyro.conf.subcommand("poles")]
+    | Annotated[MoversCommand, tyro.conf.subcommand("movers")]
+    | Annotated[LoopCommand, tyro.conf.subcommand("loop")]
+    | Annotated[TakenBackCommand, tyro.conf.subcommand("taken-back")]
+    | Annotated[LongCommand, tyro.conf.subcommand("long")]
+)
 
 
 if __name__ == "__main__":
-    main(tyro.cli(WorldsCommand, description=__doc__))
+    show(tyro.cli(Command, description=__doc__))

@@ -67,8 +67,8 @@ def seen_space(folder: Path, truth: Trajectory, camera: RigCamera, t_ns: Times, 
         share = rng.uniform(0.05, 1.0, len(rays)) * np.fmin(ranges, limit)
         free.append((T_world_cam[:3, 3] + share[:, None] * rays)[:: len(_GRID) * 2])
     everywhere = surface_points(world, seed, _SPACING_M).points_m
-    low, high = (bound(truth.p_world_imu, axis=0) for bound in (np.min, np.max))
-    around = np.all((everywhere > low - 1.5 * range_m) & (everywhere < high + 1.5 * range_m), axis=1)
+    low, high = truth.p_world_imu.min(axis=0) - 1.5 * range_m, truth.p_world_imu.max(axis=0) + 1.5 * range_m
+    around = np.all((everywhere > low) & (everywhere < high), axis=1)
     return SeenSpace(np.concatenate(surface), np.concatenate(seen_ns), np.concatenate(free), everywhere[around])
 
 
