@@ -3,8 +3,8 @@
 ``worlds`` builds three maps of each flight: of stereo depth on the true poses, of stereo depth on the poses of visual
 SLAM, and of the true depth on the true poses. The dangerous error is false free space: of the true surface that the
 camera saw within 2 m of the path, the share that is more than one cell from every cell that is not free; in the fused
-map at the end, and in the local map, pooled over its uses once a second. The fused map is aligned with the truth by the path in
-position and yaw, the local map by the newest pose. Maps on true poses have an odometry frame that is turned and
+map at the end, and in the local map, pooled over its uses once a second. The fused map is aligned with the truth by the
+path in position and yaw, the local map by the newest pose. Maps on true poses have an odometry frame that is turned and
 shifted, so that walls do not lie between cells. Flights are recorded with a stereo rig and the true depth.
 
 ``poles`` flies towards poles of 2, 4 and 8 cm. ``movers`` counts what people and carts leave behind. ``loop`` compares

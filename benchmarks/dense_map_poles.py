@@ -33,7 +33,7 @@ def _layout(rng: np.random.Generator) -> Layout:
     """Draw the concourse without what moves, with poles in front of its wall."""
     empty = WORLDS["moving"].layout(rng)
     paint = partial(textures.wood, colour=WOODS[0])
-    poles = [block(*foot, w, w, _HEIGHT_M, paint) for foot, w in zip(POLES_M, WIDTHS_M, strict=True)]
+    poles = [block(x, y, z, w, w, _HEIGHT_M, paint) for (x, y, z), w in zip(POLES_M, WIDTHS_M, strict=True)]
     return replace(empty, boxes=(*empty.boxes, *poles), moving=(), lanes=(), shading=empty.boxes)
 
 

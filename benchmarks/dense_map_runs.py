@@ -39,18 +39,21 @@ class TrueDepth:
         K = np.array([[f, 0.0, 0.5 * (width - 1)], [0.0, f, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
         self.camera = Pinhole(width, height, K)
         at = model.project(self.camera.rays().astype(np.float64))
-        self._maps = tuple(np.where(np.isfinite(at), at, -1e4).astype(np.float32)[..., k].copy() for k in range(2))
+        self._pixels = np.where(np.isfinite(at), at, -1e4).astype(np.float32)
 
     def depth(self, frame: CameraFrame, estimate: Estimate) -> DepthImage | None:
         """Return the true depth image of a frame at its estimated pose; None without a pose."""
         millimetres = cv2.imread(str(self._folder / f"{frame.t_ns}.png"), cv2.IMREAD_UNCHANGED)
         if estimate.state is None or millimetres is None:
             return None
-        at_pixels = (cv2.remap(np.asarray(i), *self._maps, cv2.INTER_NEAREST) for i in (millimetres, frame.images[0]))
-        raw, grey = (np.asarray(image) for image in at_pixels)
+        raw, grey = (
+            np.asarray(cv2.remap(np.asarray(image), self._pixels[..., 0], self._pixels[..., 1], cv2.INTER_NEAREST))
+            for image in (millimetres, frame.images[0])
+        )
         depth = (1e-3 * raw).astype(np.float32)
         sigma = np.where(depth > 0.0, TRUE_SIGMA_M, 0.0).astype(np.float32)
-        return DepthImage(frame.t_ns, self.camera, estimate.state.T_world_imu @ self._T_imu_cam, depth, sigma, grey)
+        T_odom_cam = estimate.state.T_world_imu @ self._T_imu_cam
+        return DepthImage(frame.t_ns, self.camera, T_odom_cam, depth, sigma, grey.astype(np.uint8))
 
 
 class SharedDepth:

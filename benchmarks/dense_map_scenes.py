@@ -25,7 +25,7 @@ from dronevio.eval.metrics.alignment import align
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.clouds import compare_clouds
 from dronevio.eval.metrics.occupancy import are_falsely_free
-from dronevio.models.arrays import Array
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.depth import DepthImage, Pinhole
 from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, PlacedSubmap
@@ -72,18 +72,18 @@ def pole_rows(rig: Rig, config: DenseMapConfig) -> list[Row]:
     ]
 
 
-def _are_near(grid: OccupancyGrid, points: Array, state: int) -> Array:
+def _are_near(grid: OccupancyGrid, points: Array, state: int) -> Mask:
     """Return whether a cell within one cell of points (N, 3) has a state, as a mask (N,)."""
     others = OccupancyGrid(grid.low_m, grid.cell_m, np.where(grid.states == state, UNKNOWN, FREE).astype(np.uint8))
     inside = np.all((points > grid.low_m + grid.cell_m) & (points < grid.high_m - grid.cell_m), axis=1)
-    return inside & ~are_falsely_free(others, points)
+    return np.asarray(inside & ~are_falsely_free(others, points))
 
 
-def _largest(values: Array, chosen: Array) -> float:
+def _largest(values: Array, chosen: Mask) -> float:
     return float(values[chosen].max()) if chosen.any() else np.nan
 
 
-def _smallest(values: Array, chosen: Array) -> float:
+def _smallest(values: Array, chosen: Mask) -> float:
     return float(values[chosen].min()) if chosen.any() else np.nan
 
 
@@ -124,7 +124,7 @@ def mover_rows(folder: Path, config: DenseMapConfig) -> list[Row]:
             for age in AGES_S:
                 if age <= t_s - traced_s < age + 0.11:
                     still[age].append((state == OCCUPIED, views >= 3.0))
-    rows = []
+    rows: list[Row] = []
     for age, found in still.items():
         occupied, again = np.array(found, bool).reshape(-1, 2).T
         rows.append(
@@ -180,7 +180,7 @@ def loop_rows(folder: Path, config: DenseMapConfig) -> list[Row]:
     placed = [submap for submap in run.mapper.submaps if submap.T_map_odom is not None]
     starts = np.array([submap.anchor_ns for submap in placed])
     of_frame = np.clip(np.searchsorted(starts, run.t_ns, side="right") - 1, 0, None)
-    result = []
+    result: list[Row] = []
     for name, Ts in (
         ("bends", np.array([submap.T_map_odom for submap in placed])),
         ("does not", np.tile(np.eye(4), (len(placed), 1, 1))),
