@@ -1,6 +1,8 @@
 """The closed submaps of a flight: in memory up to a limit, older ones in a temporary folder."""
 
+import shutil
 import tempfile
+import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,7 +44,7 @@ class SubmapStore:
             memory_mb: Memory of the packed submaps beyond which the oldest ones are written to files [MB].
         """
         self._limit = memory_mb * 1e6
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._folder: Path | None = None
         self._stored: list[StoredSubmap] = []
         self._kept: list[PackedSubmap] = []
 
@@ -74,14 +76,15 @@ class SubmapStore:
         """Delete the files, with all submaps."""
         self._stored, self._kept = [], []
         if self._folder is not None:
-            self._folder.cleanup()
+            shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
 
     def _written(self, submap: PackedSubmap) -> StoredSubmap:
         """Return a submap that is written to a file."""
         if self._folder is None:
-            self._folder = tempfile.TemporaryDirectory(prefix="dronevio-submaps-")
-        path = Path(self._folder.name) / f"{submap.anchor.number}.npy"
+            self._folder = Path(tempfile.mkdtemp(prefix="dronevio-submaps-"))
+            weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
+        path = self._folder / f"{submap.anchor.number}.npy"
         unfinished = path.with_suffix(".part.npy")
         np.save(unfinished, np.frombuffer(submap.data, np.uint8), allow_pickle=False)
         unfinished.replace(path)
