@@ -18,6 +18,7 @@ from dronevio.models.occupancy import DistanceField, OccupancyGrid, PlacedSubmap
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, Health
 
+
 @dataclass(eq=False)
 class _Track:
     """The maps in the newest odometry frame."""
