@@ -40,7 +40,8 @@ class StereoDepth:
 
     def __init__(self, rig: Rig, pair: Rectification) -> None:
         """Take a rig and the rectification of two of its cameras."""
-        self._rig, self._pair = rig, pair
+        self._rig = rig
+        self._pair = pair
         nearest = math.ceil(pair.fb / NEAREST_M / 16.0) * 16
         self._disparities = int(np.clip(nearest, 16, max(16, pair.camera.width // 16 * 16)))
         block = MATCH_BLOCK_PX**2
