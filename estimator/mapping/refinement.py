@@ -50,7 +50,8 @@ def least_squares_step(image: Floats, warped: Floats, gradient: Floats) -> tuple
     left = np.maximum(_covariance(e, e) - ge * step, np.float32(0.0))
     unlike = left > np.float32(1.0 - MIN_CORRELATION**2) * _covariance(image, image)
     variance = np.maximum(left * (n / (n - np.float32(2.0))), np.float32(NOISE_GREY**2)) / (n * gg)
-    return step, np.where(unlike, np.float32(math.inf), np.sqrt(variance))
+    sigma = np.where(unlike, np.float32(math.inf), np.sqrt(variance)).astype(np.float32)
+    return step.astype(np.float32), sigma
 
 
 def at_edge(disparity: Floats, matched: Floats) -> Mask:

@@ -92,7 +92,7 @@ class StereoDepth:
         """
         right = self._equalised(left, right)
         coarse = self._matched(left, right)
-        known = coarse > 0.0
+        known = (coarse > 0.0) & (coarse < self._disparities - 2)  # what is nearer is matched to the last ones
         step, sigma = self._refined(left, right, coarse)
         disparity = coarse + step
         # A match outside the right image is none

@@ -12,12 +12,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from dronevio.estimator.dense.config import ViewConfig
-from dronevio.estimator.dense.sgm import aggregate, subpixel_minimum
+from dronevio.estimator.dense.sgm import Sums, aggregate, subpixel_minimum
 from dronevio.estimator.dense.sweep import SCALE, Warp, sweep
 from dronevio.estimator.dense.views import Undistortion, View
 from dronevio.estimator.mapping.camera_pose import delay_s, pose_after
 from dronevio.estimator.mapping.refinement import at_edge, least_squares_step, speckles
-from dronevio.models.arrays import Floats
+from dronevio.models.arrays import Floats, Integers, Mask
 from dronevio.models.depth import DepthImage
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, Health
@@ -154,7 +154,7 @@ def _moved_px(warp: Warp, w: Floats, spacing: np.float32) -> Floats:
     return np.asarray(np.maximum(np.hypot(a - u, b - v) / spacing, np.float32(1e-3)))
 
 
-def _is_unique(total: Floats, index: Floats) -> Floats:
+def _is_unique(total: Sums, index: Integers) -> Mask:
     """Return where (H, W) the lowest sum (H, D, W) is lower than all that are not beside it."""
     lowest = np.take_along_axis(total, index[:, None], axis=1)[:, 0].astype(np.float32)
     beside = np.abs(np.arange(total.shape[1])[None, :, None] - index[:, None]) <= 2
