@@ -19,8 +19,10 @@ from dronevio._lazy import attach
 
 if TYPE_CHECKING:
     from dronevio.api import dense, estimate, fly, fly_on_estimate, sfm
+    from dronevio.dense_mapping import DenseMap, map
     from dronevio.estimator.config import VioConfig
     from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
+    from dronevio.estimator.mapping.config import DenseMapConfig
     from dronevio.estimator.odometry import VisualInertialOdometry
     from dronevio.estimator.slam.config import SlamConfig
     from dronevio.estimator.slam.visual_slam import VisualSlam
@@ -48,6 +50,8 @@ if TYPE_CHECKING:
 __all__ = [
     "CameraFrame",
     "CameraModel",
+    "DenseMap",
+    "DenseMapConfig",
     "DronevioError",
     "Estimate",
     "Estimator",
@@ -82,6 +86,7 @@ __all__ = [
     "fly_on_estimate",
     "inspect",
     "load_policy",
+    "map",
     "measurements",
     "open_recording",
     "read_trajectory",
@@ -98,6 +103,8 @@ __getattr__, __dir__ = attach(
     __name__,
     {
         "dronevio.api": ("dense", "estimate", "fly", "fly_on_estimate", "sfm"),
+        "dronevio.dense_mapping": ("DenseMap", "map"),
+        "dronevio.estimator.mapping.config": ("DenseMapConfig",),
         "dronevio.estimators.driver": ("estimate_recording",),
         "dronevio.estimator.config": ("VioConfig",),
         "dronevio.estimator.imu.forward_propagation": ("ImuRatePropagator",),

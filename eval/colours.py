@@ -54,6 +54,11 @@ def residual_colours(errors_px: npt.NDArray[np.float64], limit_px: float) -> npt
     return np.where(np.isnan(errors_px)[:, None], np.array(rgb(SURROUNDINGS), np.uint8), _on_scale(level))
 
 
+def height_colours(z_m: npt.NDArray[np.float64], low_m: float, high_m: float) -> npt.NDArray[np.uint8]:
+    """Return (N, 3) RGB colours of heights: blue at the low end or below, yellow at the high end or above."""
+    return _on_scale(np.clip((z_m - low_m) / max(high_m - low_m, np.finfo(float).tiny), 0.0, 1.0))
+
+
 def _on_scale(level: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
     """Return (N, 3) RGB colours of levels (N,) from 0, blue, to 1, yellow."""
     stops = np.linspace(0.0, 1.0, len(_STOPS))

@@ -3,7 +3,10 @@
 import cv2
 import numpy as np
 
-from dronevio.models.arrays import Image
+from dronevio.models.arrays import Floats, Image
+
+DEPTH_PERCENT = (2.0, 98.0)
+"""Percentiles of the inverse depths at the ends of the colour scale."""
 
 
 def downscaled(image: Image, longest_side: int) -> Image:
@@ -21,3 +24,14 @@ def jpeg(image: Image, quality: int = 80) -> bytes:
     in_order = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     _, data = cv2.imencode(".jpg", in_order, [cv2.IMWRITE_JPEG_QUALITY, quality])
     return bytes(data.tobytes())
+
+
+def depth_colours(inverse_depth: Floats) -> Image:
+    """Return a picture (H, W, 3) of inverse depths (H, W): red is near, blue far, black unknown."""
+    known = inverse_depth > 0.0
+    if not known.any():
+        return np.zeros((*inverse_depth.shape, 3), np.uint8)
+    low, high = np.percentile(inverse_depth[known], DEPTH_PERCENT)
+    level = np.clip((inverse_depth - low) / max(high - low, np.finfo(np.float32).tiny), 0.0, 1.0)
+    coloured = cv2.applyColorMap(np.round(255.0 * level).astype(np.uint8), cv2.COLORMAP_TURBO)
+    return np.where(known[..., None], cv2.cvtColor(coloured, cv2.COLOR_BGR2RGB), 0).astype(np.uint8)

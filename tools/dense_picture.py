@@ -16,8 +16,8 @@ import tyro
 import dronevio as dv
 from dronevio.estimator.dense.config import DenseConfig
 from dronevio.estimator.dense.views import ViewLoader
-from dronevio.eval.images import downscaled, jpeg
-from dronevio.eval.report.dense import DenseResults, depth_colours, pictures
+from dronevio.eval.images import depth_colours, downscaled, jpeg
+from dronevio.eval.report.dense import DenseResults, pictures
 from dronevio.models.image_sets import image_folder
 
 WIDTH_PX = 1280

@@ -43,6 +43,9 @@ COMMANDS = CommandGroup(
         "gate": Subcommand("dronevio.cli.commands.gate", "fail if a benchmark is worse than an earlier one"),
         "sfm": Subcommand("dronevio.cli.commands.sfm", "reconstruct cameras and points from images alone"),
         "dense": Subcommand("dronevio.cli.commands.dense", "compute the surfaces of a scene from the result of sfm"),
+        "map": Subcommand(
+            "dronevio.cli.commands.map", "map what is free and occupied along a recording, and its surfaces"
+        ),
         "settings": Subcommand("dronevio.cli.commands.settings", "list all settings of a command with their ranges"),
         "policy": Subcommand("dronevio.cli.commands.policy", "evaluate, describe and export trained policies"),
         "refly": Subcommand(

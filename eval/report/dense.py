@@ -15,10 +15,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from dronevio.eval.images import downscaled, jpeg
+from dronevio.eval.images import DEPTH_PERCENT, depth_colours, downscaled, jpeg
 from dronevio.eval.metrics.clouds import mesh_points
 from dronevio.eval.provenance import RunInfo
 from dronevio.eval.report.tables import Cell, Table
@@ -37,7 +36,6 @@ MAX_PHOTOGRAPHS = 6
 _PICTURE_PX = (1600, 1000)
 _PHOTOGRAPH_PX = 640  # length of the longer side
 _MESH_PX = 2.0  # distance of the drawn points of the mesh in the middle of the picture
-_DEPTH_PERCENT = (2.0, 98.0)  # percentiles of the depths at the ends of the colour scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,17 +134,6 @@ def pictures(results: DenseResults) -> tuple[Image, Image]:
     return points, surface
 
 
-def depth_colours(inverse_depth: Floats) -> Image:
-    """Return a picture (H, W, 3) of inverse depths (H, W): red is near, blue far, black unknown."""
-    known = inverse_depth > 0.0
-    if not known.any():
-        return np.zeros((*inverse_depth.shape, 3), np.uint8)
-    low, high = np.percentile(inverse_depth[known], _DEPTH_PERCENT)
-    level = np.clip((inverse_depth - low) / max(high - low, np.finfo(np.float32).tiny), 0.0, 1.0)
-    coloured = cv2.applyColorMap(np.round(255.0 * level).astype(np.uint8), cv2.COLORMAP_TURBO)
-    return np.where(known[..., None], cv2.cvtColor(coloured, cv2.COLOR_BGR2RGB), 0).astype(np.uint8)
-
-
 def _photographs(results: DenseResults) -> Iterator[DepthPhotograph]:
     """Yield images spread evenly over all, with their depths."""
     count = len(results.inverse_depths)
@@ -157,7 +144,7 @@ def _photographs(results: DenseResults) -> Iterator[DepthPhotograph]:
         name = results.reconstruction.image_names[i]
         caption = f"{name}: {100.0 * len(known) / inverse_depth.size:.0f} % of the pixels have a depth"
         if len(known):
-            near, far = 1.0 / np.percentile(known, _DEPTH_PERCENT[::-1])
+            near, far = 1.0 / np.percentile(known, DEPTH_PERCENT[::-1])
             caption += f", {near:.3g} (red) to {far:.3g} (blue)"
         coloured = depth_colours(inverse_depth)
         yield DepthPhotograph(

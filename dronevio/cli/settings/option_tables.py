@@ -111,6 +111,17 @@ DENSE: OptionTable = MappingProxyType(
 )
 """Options of multi-view stereo."""
 
+DENSE_MAP: OptionTable = MappingProxyType(
+    {
+        "cell-m": "Openings are narrower than half a metre (decrease it), or the memory of a large map counts (increase"
+        " it).",
+        "range-m": "The stereo pair has a wide baseline or the scene is large: increase it. Distant surfaces are rough:"
+        " decrease it.",
+        "rate-hz": "The flight is fast or turns quickly (increase it), or time counts (decrease it).",
+    }
+)
+"""Options of the dense map."""
+
 OPTIONS = "options"
 """Key of a table in the metadata of a command's field, for the group of settings that it holds."""
 
