@@ -1,4 +1,4 @@
-"""The dense map of a recording: the estimator runs, its depth images enter the map, and surfaces are made at the end."""
+"""The dense map of a recording: an estimator runs, its depth images enter the map, and surfaces are made at the end."""
 
 import time
 from collections.abc import Callable, Sequence

@@ -84,13 +84,15 @@ def horizontal_slice(grid: OccupancyGrid, z_m: float, path: Array) -> Markup:
 
 
 def vertical_slice(grid: OccupancyGrid, path: Array) -> Markup:
-    """Return the upright layer of cells along the longer side of the map, through the middle of the path (N, 3)."""
-    along = int(np.argmax(grid.states.shape[:2]))
-    across, name = 1 - along, "xy"[along]
-    at_m = float(np.median(path[:, across]))
-    k = int(np.clip(np.floor((at_m - grid.low_m[across]) / grid.cell_m), 0, grid.states.shape[across] - 1))
-    low_m, title = grid.low_m[[along, 2]], f"Vertical slice at {'xy'[across]} = {at_m:.1f} m"
-    return plot_layer(grid.states.take(k, axis=across), low_m, grid.cell_m, path[:, [along, 2]], title, (name, "z"))
+    """Return the upright layer of cells along x or y of which most is known, with the path (N, 3)."""
+    known = grid.states != UNKNOWN
+    counts = [known.sum(axis=(1, 2)), known.sum(axis=(0, 2))]
+    across = int(np.argmax([count.max() for count in counts]))
+    k, along = int(np.argmax(counts[across])), 1 - across
+    at_m = grid.low_m[across] + (k + 0.5) * grid.cell_m
+    title, names = f"Vertical slice at {'xy'[across]} = {at_m:.1f} m", ("xy"[along], "z")
+    layer = grid.states.take(k, axis=across)
+    return plot_layer(layer, grid.low_m[[along, 2]], grid.cell_m, path[:, [along, 2]], title, names)
 
 
 def mesh_picture(mesh: Mesh, path: Array, size_px: tuple[int, int] = _PICTURE_PX) -> Image:
