@@ -57,8 +57,8 @@ def command_named(name: Name) -> tuple[type, dict[str, object]]:
     from dronevio.cli.commands.dense import DenseCommand
     from dronevio.cli.commands.estimate import EstimateCommand
     from dronevio.cli.commands.fly import FlyCommand
-    from dronevio.cli.commands.run import RunCommand
     from dronevio.cli.commands.map import MapCommand
+    from dronevio.cli.commands.run import RunCommand
     from dronevio.cli.commands.sfm import SfmCommand
     from dronevio.cli.flight_options import DEFAULT_SCENARIO, FlightOptions
     from dronevio.sim.scenarios import scenario_named
