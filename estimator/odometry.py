@@ -84,7 +84,8 @@ class VisualInertialOdometry:
         # Estimates of the frames up to whose exposure the IMU samples have come
         events = tuple(event for due in parts.queue.add(frame) for event in self._process(due).events)
         # The newest of them at the time stamp of the frame, by the clock of the cameras
-        estimate = parts.pipeline.at_stamp(replace(self._state.estimate, events=events), frame, parts.noise.params)
+        newest = replace(self._state.estimate, events=events, track=self._state.phase.track)
+        estimate = parts.pipeline.at_stamp(newest, frame, parts.noise.params)
         # States between frames continue from it
         if estimate.state is not None:
             parts.imu_rate.correct(estimate)
@@ -194,7 +195,7 @@ class VisualInertialOdometry:
             restart = parts.initializer(self._state.gauge if monitor.is_consistent else parts.origin)
             restart.collect(packet)
             monitor.disconnect(packet.t_ns)
-            tracking = replace(tracking, restart=restart)
+            tracking = replace(tracking, restart=restart, track=tracking.track + 1)
         # Optimization of the window, and marginalization
         rate = packet.increments.angular_velocity(smoother.state.gyro_bias_rad_s)
         keyframe = Keyframe(packet.t_ns, propagator.preintegrated, packet.observations, stationary, rate)

@@ -28,6 +28,8 @@ class Initializing:
     """Collects frames until the state is observable."""
     is_consistent: bool = True
     """Whether the next state counts as consistent from its beginning: unless an inconsistent one was lost before."""
+    track: int = 0
+    """Number of the odometry frame of the next state."""
 
     @property
     def is_contradicted(self) -> bool:
@@ -56,6 +58,8 @@ class Tracking:
     """Limits of the next published state; None before the first."""
     restart: Initializer | None = None
     """Collects frames since no feature connected images with earlier ones; None as long as features do."""
+    track: int = 0
+    """Number of the odometry frame, which another one replaces at a loss and where no feature connects keyframes."""
 
     @property
     def is_contradicted(self) -> bool:

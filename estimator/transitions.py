@@ -44,7 +44,7 @@ def initialize(parts: OdometryParts, state: OdometryState, phase: Initializing, 
     if not rest_s:
         monitor.begin_in_motion(smoother.state)
     propagator = parts.propagator(smoother, monitor, packet.observations)
-    tracking = Tracking(smoother, monitor, propagator, smoother.state.T_world_imu[:3, 3])
+    tracking = Tracking(smoother, monitor, propagator, smoother.state.T_world_imu[:3, 3], track=phase.track)
     assessment = monitor.assess(packet.observations, smoother.state, rest_s > 0.0, parts.calibration)
     return publish(parts, state, tracking, packet, smoother.state, assessment)
 
@@ -125,7 +125,7 @@ def lose(
     if parts.observer is not None:
         parts.observer.lost()
     estimate = parts.publisher.lost(packet, reason, quantities)
-    return replace(state, phase=Initializing(initializer, is_consistent), estimate=estimate)
+    return replace(state, phase=Initializing(initializer, is_consistent, tracking.track + 1), estimate=estimate)
 
 
 def with_offset(
@@ -147,4 +147,5 @@ def with_offset(
     parts.queue.shift(from_given_s)
     parts.publisher.withdraw_causes()
     estimate = replace(state.estimate, events=(*state.estimate.events, event))
-    return replace(state, phase=Initializing(parts.initializer(parts.origin)), estimate=estimate)
+    phase = Initializing(parts.initializer(parts.origin), track=state.phase.track)
+    return replace(state, phase=phase, estimate=estimate)

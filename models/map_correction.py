@@ -1,15 +1,21 @@
 """Correction of a trajectory of the odometry by the poses of the keyframes in the map."""
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, log_so3, pose_matrix, quat_wxyz_from_matrix
-from dronevio.models.state import Trajectory
+
+if TYPE_CHECKING:
+    from dronevio.models.state import Trajectory
 
 Times = npt.NDArray[np.int64]
+
+FIRST_NS = -(2**62)
+"""Time at which the first track begins, before all others [ns]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +35,27 @@ class MapCorrection:
     starts_ns: Times | None = None
     """(T,) Times at which the tracks begin, strictly increasing [ns]; None if there is one track."""
 
+    @classmethod
+    def empty(cls) -> Self:
+        """Return the correction before the first keyframe of the map, in the first track."""
+        none = np.zeros(0, np.int64)
+        return cls(none, np.zeros((0, 4, 4)), none, np.array([FIRST_NS]))
+
+    def with_track(self, t_ns: int) -> Self:
+        """Return the same correction after a loss, with a track without keyframes that begins at a time [ns]."""
+        starts_ns = np.array([FIRST_NS]) if self.starts_ns is None else self.starts_ns
+        track = np.zeros(len(self.t_ns), np.int64) if self.track is None else self.track
+        return replace(self, track=track, starts_ns=np.append(starts_ns, max(t_ns, starts_ns[-1] + 1)))
+
+    def of_track(self, track: int, t_ns: int) -> Array | None:
+        """Return the pose (4, 4) of a track's odometry frame in the map frame at a time [ns]; see `at`.
+
+        None if the track is not joined with the map.
+        """
+        tracks = np.zeros(len(self.t_ns), np.int64) if self.track is None else self.track
+        a, b = np.searchsorted(tracks, [track, track + 1]).tolist()
+        return None if a == b else _interpolated(self.t_ns[a:b], self.Ts_map_odom[a:b], np.array([t_ns]))[0]
+
     def at(self, t_ns: Times) -> Array:
         """Return the poses (N, 4, 4) of the odometry frame in the map frame at times (N,) [ns].
 
@@ -44,7 +71,7 @@ class MapCorrection:
             Ts[of_track] = _interpolated(self.t_ns[known], self.Ts_map_odom[known], t_ns[of_track])
         return Ts
 
-    def applied(self, trajectory: Trajectory) -> Trajectory:
+    def applied(self, trajectory: "Trajectory") -> "Trajectory":
         """Return a trajectory of the odometry in the map frame.
 
         Velocities and covariances, which belong to the odometry frame, are left out, and so are the poses of tracks

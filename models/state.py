@@ -13,6 +13,7 @@ from dronevio.models.arrays import Array
 from dronevio.models.defects import Defect
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
+from dronevio.models.map_correction import MapCorrection
 from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix, quat_wxyz_from_matrix
 
 NO_IMAGE: npt.NDArray[np.uint8] = np.zeros((0, 0), np.uint8)
@@ -179,6 +180,13 @@ class Estimate:
     closed_loops_ns: tuple[tuple[int, int], ...] = ()
     """Time stamps of the earlier and the later keyframe of each loop that corrects the estimate from this frame on
     [ns]."""
+    track: int = 0
+    """Number of the odometry frame: it increases whenever the estimate is lost, or images show another place, after
+    which poses are in another odometry frame."""
+    map_correction: MapCorrection | None = None
+    """Poses of the odometry frames of all tracks in the map frame, at the time stamps of the keyframes of the map; they
+    change when a loop is closed, together with `T_map_odom`. Estimates share it until it changes. None from estimators
+    without a map, and in stored runs."""
 
     @property
     def T_odom_imu(self) -> Array | None:

@@ -22,7 +22,7 @@ from dronevio.sim.physics.collisions import Collision
 from dronevio.sim.physics.controller import SE3Controller
 from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.scenario import Scenario
-from dronevio.sim.world import collision_spec, flight_area
+from dronevio.sim.world import collision_spec, flight_area, illumination_and_movers
 
 ControllerFactory = Callable[[Reference, Array, Quadrotor], Controller]
 """Function that returns the controller of a flight, given the reference, the mounting T_vehicle_imu (4, 4) and the
@@ -81,6 +81,7 @@ def plant_of(scenario: Scenario) -> QuadrotorPlant:
         _at_control_rate(scenario.true_rig, scenario.control_rate_hz),
         scenario.quadrotor,
         surroundings=collision_spec(scenario.world, scenario.seed_of_world),
+        movers=illumination_and_movers(scenario.world, scenario.seed_of_world)[1],
         pad_m=flight_area(scenario.world, scenario.seed_of_world).pad,
         wind=scenario.wind,
         failure=scenario.faults.motor_failure,

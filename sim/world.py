@@ -16,10 +16,13 @@ from dronevio.sim.streams import generator
 from dronevio.sim.worlds.assembly import (
     Appearance,
     add_collision_geoms,
+    add_moving_geoms,
     assembled,
     assembled_instances,
+    instance_quads,
     outline_of,
     seen_surfaces,
+    solid_space_of,
     space_of,
 )
 from dronevio.sim.worlds.corridor import CORRIDOR
@@ -162,13 +165,29 @@ def illumination_and_movers(name: str, seed: int, light_seed: int | None = None)
 def collision_spec(name: str, seed: int) -> mujoco.MjSpec:
     """Return the collision geoms of a world, without visible geometry and without painting textures.
 
+    Moving objects are on mocap bodies of the same names as in `build_world`, at their poses at the start of a flight.
+
     Raises:
         ConfigError: The world is unknown.
     """
     require_world(name)
-    spec = mujoco.MjSpec()
-    add_collision_geoms(spec, WORLDS[name].layout(_generators(seed)[0]))
+    spec, layout = mujoco.MjSpec(), WORLDS[name].layout(_generators(seed)[0])
+    add_collision_geoms(spec, layout)
+    add_moving_geoms(spec, layout)
     return spec
+
+
+@lru_cache(maxsize=8)
+def solid_space(name: str, seed: int) -> Space:
+    """Return the bounds and the static solids of a world: its clearance is the distance of points to what collides.
+
+    In contrast to the space of `flight_area`, furniture is not one box, and the lanes of moving objects are free.
+
+    Raises:
+        ConfigError: The world is unknown.
+    """
+    require_world(name)
+    return solid_space_of(WORLDS[name].layout(_generators(seed)[0]))
 
 
 def instance_spec(name: str, seed: int) -> mujoco.MjSpec:
@@ -182,6 +201,16 @@ def instance_spec(name: str, seed: int) -> mujoco.MjSpec:
     """
     require_world(name)
     return assembled_instances(WORLDS[name].layout(_generators(seed)[0]))
+
+
+def visible_quads(name: str, seed: int) -> dict[str, Array]:
+    """Return the visible static surfaces of a world: the quadrangles (F, 4, 3) of each instance by its name [m].
+
+    Raises:
+        ConfigError: The world is unknown.
+    """
+    require_world(name)
+    return instance_quads(WORLDS[name].layout(_generators(seed)[0]))
 
 
 def scenery_of(name: str, seed: int, light_seed: int | None = None) -> Scenery:

@@ -92,7 +92,7 @@ class TimedEstimator:
         """Return the estimate for a frame."""
         with self._timed():
             estimate = self._estimator.add_frame(frame)
-        self._estimates.append(estimate)
+        self._estimates.append(replace(estimate, map_correction=None))
         self._cost_s.append((self._cpu_s, self._wall_s))
         self._cpu_s, self._wall_s = 0.0, 0.0
         return estimate
@@ -155,7 +155,7 @@ def estimate_recording(
             damaged += measurement.defects
             kinds = kinds_at.get(len(estimates), frozenset()) | {defect.kind for defect in measurement.defects}
             estimate = _with_events(timed.add_frame(measurement), kinds - before)
-            estimates.append(estimate)
+            estimates.append(replace(estimate, map_correction=None))
             before = kinds
             for observer in observers:
                 observer.frame(measurement, estimate, timed.cpu_ms)

@@ -16,3 +16,7 @@ class DenseMapConfig(Settings):
     """Largest depth that enters the map [m]."""
     rate_hz: Annotated[float, Range(0.1, 100.0)] = 10.0
     """Rate of depth images [Hz]; frames between them are left out."""
+    submap_m: Annotated[float, Range(0.5, 1000.0)] = 6.0
+    """Length of the path after which another submap begins [m]: within a submap, the drift is not corrected."""
+    memory_mb: Annotated[float, Range(0.0, 100_000.0)] = 32.0
+    """Memory of ended submaps beyond which the oldest are moved to a temporary folder [MB]."""

@@ -1,22 +1,43 @@
-"""The dense map of a flight: depth images become a local map and submaps."""
+"""The dense map of a flight: depth images become a local map and submaps, which the correction by the map places."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dronevio.estimator.mapping.config import DenseMapConfig
+from dronevio.estimator.mapping.depth_source import depth_source
 from dronevio.estimator.mapping.evidence import evidence
-from dronevio.estimator.mapping.log_odds import LogOdds
-from dronevio.estimator.mapping.stereo_depth import StereoDepth
+from dronevio.estimator.mapping.local_map import LocalMap
+from dronevio.estimator.mapping.placing import bounds, fused, placed
+from dronevio.estimator.mapping.submap import ActiveSubmap, Anchor, PackedSubmap
+from dronevio.estimator.mapping.submap_store import StoredSubmap, SubmapStore
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.depth import DepthImage
-from dronevio.models.occupancy import UNKNOWN, OccupancyGrid, PlacedSubmap
+from dronevio.models.map_correction import MapCorrection
+from dronevio.models.occupancy import DistanceField, OccupancyGrid, PlacedSubmap
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, Health
 
-LOCAL_SIZE_M = (8.0, 8.0, 4.0)
-"""Extent of the local map [m]."""
+
+@dataclass(eq=False)
+class _Track:
+    """The maps in the newest odometry frame."""
+
+    number: int
+    """Number of the odometry frame."""
+    local: LocalMap
+    """The local map."""
+    submap: ActiveSubmap
+    """The submap that gathers evidence."""
 
 
 class DenseMapper:
     """Builds a dense map from frames and their estimates.
+
+    Each depth image is evidence about cells of the odometry frame, for the local map and for a submap. The local map
+    is never bent. Submaps are placed in the map frame by the correction of the newest estimate. After a loss, there is
+    a new local map, and earlier submaps are placed again when their track and the new one are joined.
 
     Example:
         >>> slam, mapper = VisualSlam(rig), DenseMapper(rig)
@@ -30,17 +51,21 @@ class DenseMapper:
 
     def __init__(self, rig: Rig, config: DenseMapConfig | None = None) -> None:
         """Begin with an empty map."""
-        self._config = config or DenseMapConfig()
-        self._source = StereoDepth(rig)
-        self._size = np.round(np.array(LOCAL_SIZE_M) / self._config.cell_m).astype(np.int64)
-        self._local: LogOdds | None = None
-        self._submap: LogOdds | None = None
-        self._anchor_ns = 0
+        self._config = c = config or DenseMapConfig()
+        self._source = depth_source(rig)
+        self._store = SubmapStore(c.memory_mb)
+        self._track: _Track | None = None
+        self._newest: Estimate | None = None
+        self._begun = 0
         self._last_ns: int | None = None
 
     def add_frame(self, frame: CameraFrame, estimate: Estimate) -> DepthImage | None:
         """Add a frame with its estimate; return its depth image, None if the frame does not enter the map."""
         c = self._config
+        self._newest = estimate
+        if self._track is not None and estimate.track != self._track.number:  # another odometry frame
+            self._store.add(self._track.submap.closed())
+            self._track = None
         due = self._last_ns is None or (frame.t_ns - self._last_ns) * 1e-9 > 1.0 / c.rate_hz - 1e-3
         if not due or estimate.health is not Health.TRACKING or estimate.T_odom_imu is None:
             return None
@@ -48,41 +73,84 @@ class DenseMapper:
         if depth is None:
             return None
         self._last_ns = frame.t_ns
-        middle = np.floor(estimate.T_odom_imu[:3, 3] / c.cell_m).astype(np.int64)
-        low = middle - self._size // 2
-        if self._local is None:
-            self._local = LogOdds(low, np.zeros(self._size, np.float32))
-            self._submap = LogOdds(middle - 2 * self._size, np.zeros(4 * self._size, np.float32))
-            self._anchor_ns = frame.t_ns
-        elif np.any(np.abs(low - self._local.low) * c.cell_m > 0.5):
-            self._local = self._local.moved(low)
-        found = evidence(depth, c.cell_m, c.range_m)
-        self._local.add(found)
-        if self._submap is not None:
-            self._submap.add(found)
+        self.add_depth(depth)
         return depth
+
+    def add_depth(self, depth: DepthImage) -> None:
+        """Add a depth image of the odometry frame of the newest estimate."""
+        c, p = self._config, depth.T_odom_cam[:3, 3]
+        if self._track is None:
+            number = 0 if self._newest is None else self._newest.track
+            self._track = _Track(number, LocalMap(c.cell_m), self._begin(depth, number))
+        track = self._track
+        track.local.centre_on(p)
+        if track.submap.path_m > c.submap_m:
+            self._store.add(track.submap.closed())
+            track.submap = self._begin(depth, track.number)
+        found = evidence(depth, c.cell_m, c.range_m)
+        track.local.add(found)
+        track.submap.add(found, p)
+
+    def _begin(self, depth: DepthImage, track: int) -> ActiveSubmap:
+        """Return the next submap, which begins with a depth image."""
+        self._begun += 1
+        return ActiveSubmap(Anchor(self._begun - 1, track, depth.t_ns), depth.T_odom_cam[:3, 3])
 
     @property
     def local_map(self) -> OccupancyGrid | None:
-        """The local map around the drone, in the odometry frame; None before the first depth image."""
-        return None if self._local is None else self._local.grid(self._config.cell_m)
+        """The local map around the drone, in the odometry frame; None before the first depth image and after a loss."""
+        return None if self._track is None else self._track.local.grid()
+
+    def local_distance(self, *, unknown_is_obstacle: bool) -> DistanceField | None:
+        """Return the distances to obstacles in the local map; None without one."""
+        track = self._track
+        return None if track is None else track.local.distance_field(unknown_is_obstacle=unknown_is_obstacle)
 
     @property
     def submaps(self) -> tuple[PlacedSubmap, ...]:
-        """The submaps, with their poses by the newest correction."""
-        if self._submap is None:
-            return ()
-        return (PlacedSubmap(0, 0, self._anchor_ns, np.eye(4), self._submap.grid(self._config.cell_m)),)
+        """The submaps in the order of time, with their poses by the newest correction."""
+        cell_m = self._config.cell_m
+        loaded = ((_loaded(submap), T) for submap, T in self._all_placed())
+        return tuple(
+            PlacedSubmap(s.anchor.number, s.anchor.track, s.anchor.t_ns, T, s.log_odds.grid(cell_m)) for s, T in loaded
+        )
 
-    def fused(self) -> OccupancyGrid | None:
-        """Return the map of all submaps that are joined with the map, in the map frame; None without one."""
-        submaps = self.submaps
-        if not submaps:
+    def fused(self, low_m: Array | None = None, high_m: Array | None = None) -> OccupancyGrid | None:
+        """Return the map of all submaps that are joined with it, in the map frame; None without one.
+
+        Args:
+            low_m: (3,) Lower corner of a window [m]; None for the whole map.
+            high_m: (3,) Its upper corner [m]; None for the whole map.
+        """
+        cell_m = self._config.cell_m
+        joined = [(submap, T) for submap, T in self._all_placed() if T is not None and 0 not in submap.shape]
+        if not joined:
             return None
-        grid = submaps[0].grid
-        known = np.argwhere(grid.states != UNKNOWN)
-        if not len(known):
-            return None
-        a, b = known.min(axis=0), known.max(axis=0) + 1
-        states = grid.states[a[0] : b[0], a[1] : b[1], a[2] : b[2]]
-        return OccupancyGrid(grid.low_m + a * grid.cell_m, grid.cell_m, states, "map")
+        boxes = np.array([bounds(submap.low, submap.shape, T, cell_m) for submap, T in joined])
+        low: Integers = boxes[:, 0].min(axis=0) if low_m is None else np.floor(low_m / cell_m).astype(np.int64)
+        high: Integers = boxes[:, 1].max(axis=0) if high_m is None else np.ceil(high_m / cell_m).astype(np.int64)
+        seen = np.all((boxes[:, 0] < high) & (boxes[:, 1] > low), axis=1)
+        chosen = ((_loaded(submap), T) for (submap, T), is_seen in zip(joined, seen, strict=True) if is_seen)
+        return fused(chosen, low, high, cell_m)
+
+    def correct(self, correction: MapCorrection) -> None:
+        """Place the submaps by another correction than that of the newest estimate, such as that of the final map."""
+        if self._newest is not None:
+            self._newest = replace(self._newest, map_correction=correction)
+
+    def close(self) -> None:
+        """Delete the files of the map, which otherwise end with this object."""
+        self._store.close()
+
+    def _all_placed(self) -> Iterator[tuple[PackedSubmap | StoredSubmap, Array | None]]:
+        """Return all submaps in the order of time, with their poses in the map frame."""
+        if self._newest is None:
+            return
+        active = () if self._track is None else (self._track.submap.closed(),)
+        for submap in (*self._store.all, *active):
+            yield submap, placed(submap.anchor, self._newest)
+
+
+def _loaded(submap: PackedSubmap | StoredSubmap) -> PackedSubmap:
+    """Return a submap with its cells."""
+    return submap.load() if isinstance(submap, StoredSubmap) else submap

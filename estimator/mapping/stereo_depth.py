@@ -1,71 +1,199 @@
-"""Depth from a stereo pair: rectification of any lens, and semi-global matching.
+"""Depth from a stereo pair: semi-global matching, and one step of least squares that knows its standard deviation.
 
-Source: Hirschmüller, "Stereo processing by semiglobal matching and mutual information", PAMI 2008.
+The matcher (Hirschmüller, "Stereo processing by semiglobal matching and mutual information", PAMI 2008) returns the
+disparity d₀ of a pixel to a part of a pixel. With the residual e(x) = L(x) − R(x − d₀) in a window around it, less its
+mean there, and the derivative g of R along the row, less its mean, the disparity of least squares and its variance are
+
+    d = d₀ − Σ g e / Σ g²,    σ² = σ_e² / Σ g² + σ₀²,
+
+(Lucas and Kanade, "An iterative image registration technique", IJCAI 1981), where σ_e is the noise of the images, or
+what the step leaves of the residual if this is more. A disparity is left out where it is not certain enough, where the
+step or the residual is large, and where a near surface hides the view beside it.
 """
+
+import math
 
 import cv2
 import numpy as np
 
-from dronevio.models.arrays import Array, Floats
-from dronevio.models.camera import CameraModel
-from dronevio.models.depth import DepthImage, Pinhole
+from dronevio.estimator.mapping.camera_pose import delay_s, pose_after
+from dronevio.estimator.mapping.rectification import Rectification
+from dronevio.models.arrays import Floats, Image, Mask
+from dronevio.models.depth import DepthImage
 from dronevio.models.rig import Rig
-from dronevio.models.rotation import inverse_pose
 from dronevio.models.state import CameraFrame, Estimate
 
-SIGMA_PX = 0.5
-"""Standard deviation of the disparity at half the resolution [px]."""
-_DISPARITIES = 64
-_WINDOW_PX = 5
+NEAREST_M = 0.4
+"""Smallest depth that is searched [m]."""
+WINDOW_PX = (5, 5)
+"""Width and height of the window of the least-squares step [px]."""
+NOISE_GREY = 2.0
+"""Standard deviation of the difference of two images at a pixel [grey values]."""
+MIN_CORRELATION = 0.8
+"""Smallest correlation of the windows of the two images."""
+FLOOR_PX = 0.13
+"""Standard deviation of the disparity by calibration, interpolation and slanted surfaces [px]."""
+MAX_SIGMA_PX = 0.6
+"""Largest standard deviation of a disparity that is used [px]."""
+MAX_STEP_PX = 0.6
+"""Largest step from the disparity of the matcher [px]."""
+MAX_CHANGE_PX = 0.8
+"""Change of the disparity within a band above which there is an edge [px]."""
+EDGE_PX = 3
+"""Width of the bands on both sides of an edge in which disparities are left out [px]."""
+MAX_SHIFT_PX = 1.0
+"""Largest shift between the images by motion between two exposures [px]."""
+MATCH_BLOCK_PX = 5
+_SMALL_PENALTY, _LARGE_PENALTY = 8, 32  # of the matcher, for each pixel of a block
+_UNIQUENESS, _CONSISTENCY_PX = 15, 1
+_SPECKLE_PX, _SPECKLE_RANGE_PX, _SMALLEST_PX = 300, 1, 40
+_FIXED = 16.0  # the matcher returns sixteenths
 
 
 class StereoDepth:
-    """Depth images of a stereo pair at half the resolution of its first camera."""
+    """Depth images of a rectified pair; a `DepthSource`."""
 
-    def __init__(self, rig: Rig) -> None:
-        """Derive the rectification of the first two cameras of a rig."""
-        left, right = rig.cameras[:2]
-        T_left_right = inverse_pose(left.T_imu_cam) @ right.T_imu_cam
-        x = T_left_right[:3, 3] / np.linalg.norm(T_left_right[:3, 3])
-        y = np.cross([0.0, 0.0, 1.0], x)
-        y /= np.linalg.norm(y)
-        R_left_rect = np.stack([x, y, np.cross(x, y)], axis=1)
-        self._baseline_m = float(np.linalg.norm(T_left_right[:3, 3]))
-        model = left.model
-        f = 0.5 * model.central_focal_px[0]
-        width, height = model.width // 2, model.height // 2
-        self.camera = Pinhole(
-            width, height, np.array([[f, 0.0, 0.5 * (width - 1)], [0.0, f, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
-        )
-        self._maps = tuple(
-            _rectification(camera, self.camera, R)
-            for camera, R in ((left.model, R_left_rect), (right.model, T_left_right[:3, :3].T @ R_left_rect))
-        )
-        self._T_imu_cam = left.T_imu_cam.copy()
-        self._T_imu_cam[:3, :3] = left.T_imu_cam[:3, :3] @ R_left_rect
+    def __init__(self, rig: Rig, pair: Rectification) -> None:
+        """Take a rig and the rectification of two of its cameras."""
+        self._rig, self._pair = rig, pair
+        nearest = math.ceil(pair.fb / NEAREST_M / 16.0) * 16
+        self._disparities = int(np.clip(nearest, 16, max(16, pair.camera.width // 16 * 16)))
+        block = MATCH_BLOCK_PX**2
         self._matcher = cv2.StereoSGBM.create(
-            0, _DISPARITIES, _WINDOW_PX, 8 * _WINDOW_PX**2, 32 * _WINDOW_PX**2, 1, 31, 10, 100, 2
+            0,
+            self._disparities,
+            MATCH_BLOCK_PX,
+            _SMALL_PENALTY * block,
+            _LARGE_PENALTY * block,
+            _CONSISTENCY_PX,
+            31,
+            _UNIQUENESS,
+            _SPECKLE_PX,
+            _SPECKLE_RANGE_PX,
+            cv2.STEREO_SGBM_MODE_SGBM_3WAY,
+        )
+        self._columns, self._rows = np.meshgrid(
+            np.arange(pair.camera.width, dtype=np.float32), np.arange(pair.camera.height, dtype=np.float32)
         )
 
     def depth(self, frame: CameraFrame, estimate: Estimate) -> DepthImage | None:
-        """Return the depth image of a frame at its estimated pose; None without a pose or an image."""
-        images = frame.images[:2]
-        if estimate.state is None or any(image.size == 0 for image in images):
+        """Return the depth image of the left camera of a frame.
+
+        It is None without a state, without one of the images, and where the cameras moved by more than `MAX_SHIFT_PX`
+        between their exposures.
+        """
+        pair = self._pair
+        if estimate.state is None or any(frame.images[k].size == 0 for k in (pair.left, pair.right)):
             return None
-        left, right = (
-            cv2.remap(image, *maps, cv2.INTER_LINEAR) for image, maps in zip(images, self._maps, strict=True)
+        shift_px = self._shift_px(frame, estimate)
+        if shift_px > MAX_SHIFT_PX:
+            return None
+        left, right = (map_.apply(frame.images[k]) for k, map_ in zip((pair.left, pair.right), pair.maps, strict=True))
+        disparity, sigma = self.disparity(left, right, shift_px)
+        known = disparity > 0.0
+        depth = np.divide(np.float32(pair.fb), disparity, out=np.zeros_like(disparity), where=known)
+        sigma_m = np.where(known, depth * depth * sigma / np.float32(pair.fb), np.float32(0.0))
+        T_odom_imu = pose_after(estimate.state, delay_s(self._rig, frame, pair.left))
+        return DepthImage(frame.t_ns, pair.camera, T_odom_imu @ pair.T_imu_left, depth, sigma_m, left)
+
+    def disparity(self, left: Image, right: Image, shift_px: float = 0.0) -> tuple[Floats, Floats]:
+        """Return the disparities (H, W) and their standard deviations (H, W) of rectified images [px]; 0 for unknown.
+
+        Args:
+            left: (H, W) Left image.
+            right: (H, W) Right image.
+            shift_px: Unknown shift between the images [px].
+        """
+        right = self._equalised(left, right)
+        coarse = self._matched(left, right)
+        known = coarse > 0.0
+        step, sigma = self._refined(left, right, coarse)
+        disparity = coarse + step
+        # A match outside the right image is none
+        u = np.clip(np.rint(self._columns - disparity), 0, left.shape[1] - 1).astype(np.int32)
+        known &= self._pair.maps[0].mask & self._pair.maps[1].mask[self._rows.astype(np.int32), u]
+        known &= (disparity > 0.0) & (np.abs(step) <= MAX_STEP_PX) & (sigma <= MAX_SIGMA_PX)
+        known &= ~at_edge(np.where(known, coarse, np.float32(0.0)), coarse)
+        known &= ~_speckles(np.where(known, disparity, np.float32(0.0)))
+        sigma = np.sqrt(sigma * sigma + np.float32(FLOOR_PX**2 + shift_px**2))
+        zero = np.float32(0.0)
+        return np.where(known, disparity, zero), np.where(known, sigma, zero)
+
+    def _matched(self, left: Image, right: Image) -> Floats:
+        """Return the disparities (H, W) of the matcher [px]; not more than 0 where there is none."""
+        D = self._disparities  # the matcher leaves out as many columns on the left
+        padded = [cv2.copyMakeBorder(image, 0, 0, D, 0, cv2.BORDER_REPLICATE) for image in (left, right)]
+        return np.asarray(self._matcher.compute(*padded)[:, D:].astype(np.float32) / np.float32(_FIXED))
+
+    def _equalised(self, left: Image, right: Image) -> Image:
+        """Return the right image with the mean and the contrast of the left one: the exposures may differ."""
+        (m, s), (n, t) = (
+            [float(value[0, 0]) for value in cv2.meanStdDev(image, mask=map_.mask.astype(np.uint8))]
+            for image, map_ in zip((left, right), self._pair.maps, strict=True)
         )
-        disparity = self._matcher.compute(left, right).astype(np.float32) / 16.0
-        known = disparity > 1.0
-        fb = np.float32(self.camera.K[0, 0] * self._baseline_m)
-        depth = np.where(known, fb / np.where(known, disparity, 1.0), 0.0).astype(np.float32)
-        sigma = (depth * depth * np.float32(SIGMA_PX) / fb).astype(np.float32)
-        T_odom_cam = np.asarray(estimate.state.T_world_imu @ self._T_imu_cam)
-        return DepthImage(frame.t_ns, self.camera, T_odom_cam, depth, sigma, np.asarray(left))
+        gain = float(np.clip(s / t, 0.5, 2.0)) if t > 0.0 else 1.0
+        return np.asarray(cv2.addWeighted(right, gain, right, 0.0, m - gain * n))
+
+    def _refined(self, left: Image, right: Image, disparity: Floats) -> tuple[Floats, Floats]:
+        """Return the steps (H, W) from disparities to those of least squares, and standard deviations (H, W) [px]."""
+        R = right.astype(np.float32)
+        warped = cv2.remap(R, self._columns - disparity, self._rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        L = left.astype(np.float32)
+        g = 0.5 * (_derivative(L) + _derivative(np.asarray(warped)))
+        e = L - warped
+        g_mean, e_mean = _box(g), _box(e)
+        gg = np.maximum(_box(g * g) - g_mean * g_mean, np.float32(1e-3))
+        ge = _box(g * e) - g_mean * e_mean
+        ee = np.maximum(_box(e * e) - e_mean * e_mean - ge * ge / gg, np.float32(0.0))
+        L_mean = _box(L)
+        unlike = ee > np.float32(1.0 - MIN_CORRELATION**2) * (_box(L * L) - L_mean * L_mean)
+        n = np.float32(WINDOW_PX[0] * WINDOW_PX[1])
+        variance = np.maximum(ee * n / (n - np.float32(2.0)), np.float32(NOISE_GREY**2)) / (n * gg)
+        # x − d moves to the left as d grows: R(x − d₀ − s) = R − g s, so that L − R = −g s
+        return -ge / gg, np.where(unlike, np.float32(math.inf), np.sqrt(variance))
+
+    def _shift_px(self, frame: CameraFrame, estimate: Estimate) -> float:
+        """Return how far the right image moves between the two exposures, at the smallest depth of free flight [px]."""
+        assert estimate.state is not None
+        between_s = delay_s(self._rig, frame, self._pair.right) - delay_s(self._rig, frame, self._pair.left)
+        rate = estimate.state.angular_velocity_rad_s
+        turn = 0.0 if rate is None else float(np.linalg.norm(rate))
+        moved = float(np.linalg.norm(estimate.state.velocity_m_s))
+        return abs(between_s) * (turn + moved) * float(self._pair.camera.K[0, 0])
 
 
-def _rectification(model: CameraModel, camera: Pinhole, R_cam_rect: Array) -> tuple[Floats, Floats]:
-    """Return the columns and rows (H, W) of the image of a lens at the pixels of a rectified camera."""
-    uv = model.project(camera.rays().astype(np.float64) @ R_cam_rect.T)
-    uv = np.where(np.isfinite(uv), uv, -1e4).astype(np.float32)
-    return np.ascontiguousarray(uv[..., 0]), np.ascontiguousarray(uv[..., 1])
+def at_edge(disparity: Floats, matched: Floats) -> Mask:
+    """Return where (H, W) disparities are left out because the depth jumps.
+
+    Windows at an edge see both surfaces, so that the nearer one seems wider than it is, and the farther one is hidden
+    from one camera. What is narrower than the two bands, such as a pole, is kept: to lose it would be worse.
+
+    Args:
+        disparity: (H, W) Disparities that are known, 0 elsewhere.
+        matched: (H, W) Disparities of the matcher, not more than 0 where there is none.
+    """
+    change = np.float32(MAX_CHANGE_PX)
+    square = np.ones((2 * EDGE_PX + 1, 2 * EDGE_PX + 1), np.uint8)
+    farther = cv2.dilate(matched, square) > disparity + change
+    nearer = cv2.erode(np.where(matched > 0.0, matched, np.float32(1e6)), square) < disparity - change
+    kept = cv2.dilate(np.where(farther | nearer, np.float32(0.0), disparity), square)
+    narrow = kept < disparity - change
+    return np.asarray(farther | (nearer & ~narrow))
+
+
+def _speckles(disparity: Floats) -> Mask:
+    """Return where (H, W) disparities are unknown, or belong to small patches that nothing around them supports."""
+    fixed = np.rint(_FIXED * disparity).astype(np.int16)
+    cv2.filterSpeckles(fixed, 0, _SMALLEST_PX, _SPECKLE_RANGE_PX * _FIXED)
+    return np.asarray(fixed == 0)
+
+
+def _derivative(image: Floats) -> Floats:
+    """Return the derivative (H, W) along the rows, by central differences."""
+    kernel = np.array([[-0.5, 0.0, 0.5]], np.float32)
+    return np.asarray(cv2.filter2D(image, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE))
+
+
+def _box(image: Floats) -> Floats:
+    """Return the means (H, W) of the windows."""
+    return np.asarray(cv2.boxFilter(image, cv2.CV_32F, WINDOW_PX, borderType=cv2.BORDER_REPLICATE))

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
+from dronevio.estimator.slam.correction_changes import NO_CHANGES, CorrectionChanges
 from dronevio.estimator.slam.map.odometry_factors import OdometryNode, RelativePose, odometry_factors, propagated
 from dronevio.models.arrays import Array
 from dronevio.models.state import NavState
@@ -32,6 +33,8 @@ class Correction:
     """Number of loops of the submap that an optimization has accepted or rejected."""
     events: tuple[str, ...] = ()
     """Outcome of a bundle adjustment, as text for users."""
+    changes: CorrectionChanges = NO_CHANGES
+    """Keyframes of the map, of all tracks, that are new or have moved since the last correction."""
 
     def covariance_at(self, state: NavState) -> Array | None:
         """Return the covariance (6, 6) of a later pose of the same track in the map frame.

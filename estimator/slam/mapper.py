@@ -168,6 +168,12 @@ class Mapper:
         return () if map_submap is None else tuple(k for k in self._keyframes if k.track in map_submap.tracks)
 
     @property
+    def poses(self) -> Mapping[int, Array]:
+        """Poses (4, 4) in the map frame of the keyframes that are not culled, by their numbers."""
+        map_submap = self._map_submap
+        return {} if map_submap is None else map_submap.graph.poses
+
+    @property
     def adjusted_until(self) -> int:
         """Number of the newest keyframe that bundle adjustment during the flight has moved; -1 before the first one."""
         map_submap = self._map_submap

@@ -1,11 +1,12 @@
 """Visual SLAM: the odometry, and a map around it that corrects it when places are seen again.
 
 The odometry does not depend on the map: its estimates are those of `VisualInertialOdometry`, to the bit. The map
-receives the keyframes of the odometry and returns the pose of the odometry frame in the map frame, `T_map_odom`. It is
-applied a number of frames after the keyframe that caused it, which depends on numbers of keyframes and loops alone, so
-that results do not depend on the speed of the machine. Meanwhile a worker process updates the map. A pose in the map
-frame is causal, and it jumps when a loop is closed; the pose in the odometry frame is continuous. After a loss there is
-no pose in the map frame until a place of the map is recognized.
+receives the keyframes of the odometry when they leave its window, and returns the pose of the odometry frame in the map
+frame, now and at all keyframes. Both are applied a declared time later, by default 0.3 s, which depends on time stamps
+and on numbers of keyframes and loops alone, so that results do not depend on the speed of the machine; see
+`CorrectionSchedule`. Meanwhile a worker process updates the map. A pose in the map frame is causal, and it jumps when a
+loop is closed; the pose in the odometry frame is continuous. After a loss there is no pose in the map frame until a
+place of the map is recognized.
 """
 
 from dataclasses import replace
@@ -21,7 +22,7 @@ from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.files.g2o import write_g2o
 from dronevio.estimator.slam.files.map_file import read_map, write_map
-from dronevio.estimator.slam.files.saved_map import SavedMap
+from dronevio.estimator.slam.files.saved_map import LAST_KNOWN_NS, SavedMap
 from dronevio.estimator.slam.final_map import FinalMap
 from dronevio.estimator.slam.map.map_arrays import MapSummary
 from dronevio.estimator.slam.map.pose_graph import PoseGraph
@@ -99,10 +100,12 @@ class VisualSlam:
         self._schedule = CorrectionSchedule(c.correction_delay)
         self._frames = self._sent = self._loops = self._track = 0
         self._T_map_odom: Array | None = np.eye(4)
+        self._map_correction = MapCorrection.empty()
         self._correction: Correction | None = None
         self._final: tuple[int, FinalMap] | None = None  # after a number of frames
         if known is not None:
             self._sent, self._track, self._T_map_odom = len(known.keyframes), 1, None
+            self._map_correction = self._map_correction.with_track(LAST_KNOWN_NS + 1)
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Add the IMU samples since the last call; see `VisualInertialOdometry`."""
@@ -130,6 +133,7 @@ class VisualSlam:
         for message in self._keyframes.take():
             if isinstance(message, TrackLost):
                 self._track, self._T_map_odom, self._correction = self._track + 1, None, None
+                self._map_correction = self._map_correction.with_track(message.t_ns)
             if isinstance(message, MarginalizedKeyframe) and message.measured is not None:
                 self._measurements.add(message.estimate, message.measured)
             self._map.send(message)
@@ -143,10 +147,12 @@ class VisualSlam:
             if correction is None:
                 continue
             self._loops = max(self._loops, correction.tested_loops)
+            self._map_correction = correction.changes.applied(self._map_correction)
             if correction.track == self._track:
                 self._T_map_odom, self._correction = correction.T_map_odom, correction
                 events += _events(correction)
                 closed += correction.loop_times_ns
+        estimate = replace(estimate, track=self._track, map_correction=self._map_correction)
         state = estimate.state
         if state is None:
             return estimate

@@ -28,7 +28,7 @@ from dronevio.sim.envs.tasks.task import distance_m
 from dronevio.sim.physics.batch_plant import BatchPlant
 from dronevio.sim.physics.vehicle_states import VehicleStates, with_rows
 from dronevio.sim.physics.wind import Winds
-from dronevio.sim.world import collision_spec, flight_area
+from dronevio.sim.world import collision_spec, flight_area, illumination_and_movers
 
 Observations = Any
 """Observations of n environments: a dict of arrays, nested with privileged observations, or one array if flat."""
@@ -99,6 +99,7 @@ class DroneCore:
             settings.vehicle,
             step_s=1.0 / settings.physics_rate_hz,
             surroundings=collision_spec(settings.world, settings.world_seed) if task.obstacles else None,
+            movers=illumination_and_movers(settings.world, settings.world_seed)[1] if task.obstacles else (),
             ground_m=float(self.area.pad[2]),
             imu=settings.has_imu,
             nthread=settings.threads,

@@ -40,18 +40,24 @@ class BatchContacts:
                 intprm=[_FOUND_AND_NORMAL, 0, _SLOTS],
             )
         self._foot = np.array([geom.name.startswith(FEET) for geom in geoms])
-        self._batch = Batch(spec.compile(), count, nthread)
+        self._batch = Batch(spec.compile(), count, nthread, persistent=True)
         self._pose = self._batch.bind("qpos")
+        self._mocap_position, self._mocap_quat = self._batch.bind("mocap_pos"), self._batch.bind("mocap_quat")
         self._sensed = self._batch.bind("sensordata")
 
-    def detect(self, rows: npt.NDArray[np.intp], pose: Array) -> npt.NDArray[np.bool_]:
+    def detect(
+        self, rows: npt.NDArray[np.intp], pose: Array, mocap_position: Array, mocap_quat: Array
+    ) -> npt.NDArray[np.bool_]:
         """Return which of k simulations collide (k,).
 
         Args:
             rows: (k,) Indices of the simulations.
             pose: (k, 7) Positions and orientations of the vehicle.
+            mocap_position: (k, M, 3) Positions of the moving objects.
+            mocap_quat: (k, M, 4) Orientations of the moving objects.
         """
         self._pose[rows] = pose
+        self._mocap_position[rows], self._mocap_quat[rows] = mocap_position, mocap_quat
         self._batch.forward(rows, stage=mujoco.mjtStage.mjSTAGE_POS)
         sensed = self._sensed[rows].reshape(len(rows), len(self._foot), _SLOTS, 4)
         standing = stands(self._foot[:, None], sensed[..., 3])

@@ -1,5 +1,7 @@
 """Batch plant: the physics of many quadrotors of one type in one world, stepped together by `mujoco.batch`."""
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +23,7 @@ from dronevio.sim.physics.batch_motion import (
 )
 from dronevio.sim.physics.batch_simulation import FASTEST, BatchSimulation
 from dronevio.sim.physics.batch_state import PlantState, PointSamples, SavedPlant
+from dronevio.sim.physics.collisions import Moving
 from dronevio.sim.physics.motion import extrapolated_back
 from dronevio.sim.physics.rotors import Airflow, Rotors
 from dronevio.sim.physics.vehicle import LONGEST_STEP_S, imu_interval_ns, physics_spec, standing_pose
@@ -49,6 +52,7 @@ class BatchPlant:
         *,
         step_s: float = LONGEST_STEP_S,
         surroundings: mujoco.MjSpec | None = None,
+        movers: Sequence[Moving] = (),
         ground_m: float = 0.0,
         imu: bool = True,
         rng: np.random.Generator | None = None,
@@ -61,8 +65,8 @@ class BatchPlant:
             rig: Mounting and rate of the IMU.
             quadrotor: The vehicle type; the research quadrotor of 1.5 kg by default.
             step_s: Time step of the physics [s]; at most half the IMU interval, of which it is a fraction.
-            surroundings: Specification of a world, whose static geoms of group 3 are obstacles; only a floor by
-                default.
+            surroundings: Specification of a world, whose geoms of group 3 are solid; only a floor by default.
+            movers: All moving objects of the world.
             ground_m: Height of the ground of the ground effect [m].
             imu: Whether IMU samples are computed.
             rng: Generator of the gusts; a fixed seed by default.
@@ -81,7 +85,7 @@ class BatchPlant:
         self._step_s = self.interval_s / substeps
         self._ground_m = ground_m
         spec = physics_spec(self.quadrotor, rig, self._step_s, surroundings)
-        self._simulation = BatchSimulation(spec, count, substeps, imu, nthread)
+        self._simulation = BatchSimulation(spec, count, substeps, imu, nthread, movers)
         self.standing_height_m = float(standing_pose(self.quadrotor, rig, self._step_s)[2])
         """Height of the centre of mass above the floor when a drone of the type stands on its feet [m]."""
         self._air = BatchAir(Winds.of(CALM, count), rng or np.random.default_rng(0))
@@ -188,6 +192,7 @@ class BatchPlant:
         rotors = model.steady_state(states.rotor_speed_rad_s, states.battery_charge)
         motion = self._simulation.motion(rows)
         wrench = model.wrench(rotors, self._airflow(motion, rows))
+        self._simulation.place_movers(rows, np.zeros(rows.size))
         flown = self._simulation.run(rows, motion, wrench, nothing, nothing)
         between, samples = np.zeros((3, rows.size)), self.now.samples.rows(rows)
         if flown.middle is not None:
@@ -210,6 +215,7 @@ class BatchPlant:
         rotors = self._rotors.step(now.rotors, commands, self.interval_s)
         motion = self._simulation.motion(_ALL)
         wrench = self._rotors.wrench(rotors, self._airflow(motion, _ALL))
+        self._simulation.place_movers(_ALL, np.asarray((now.elapsed + 1) * self.interval_s, np.float64))
         flown = self._simulation.run(_ALL, motion, wrench, now.touched, diverged)
         between, samples = now.velocity_between, now.samples
         if flown.middle is not None:

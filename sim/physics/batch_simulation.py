@@ -1,5 +1,6 @@
 """Simulations of many vehicles of one type in one world by `mujoco.batch`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -10,6 +11,7 @@ from mujoco.batch import Batch
 from dronevio.models.arrays import Array, Mask
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.sim.physics.batch_contacts import BatchContacts
+from dronevio.sim.physics.collisions import Moving, mocap_poses
 from dronevio.sim.physics.motion import middle_of_interval
 from dronevio.sim.physics.vehicle_states import Rows, VehicleParameters, VehicleStates
 
@@ -38,7 +40,15 @@ class Interval:
 class BatchSimulation:
     """n simulations of a vehicle, which advance by IMU intervals; k of them may be selected by rows."""
 
-    def __init__(self, spec: mujoco.MjSpec, count: int, substeps: int, recorded: bool, nthread: int) -> None:
+    def __init__(
+        self,
+        spec: mujoco.MjSpec,
+        count: int,
+        substeps: int,
+        recorded: bool,
+        nthread: int,
+        movers: Sequence[Moving] = (),
+    ) -> None:
         """Compile the model.
 
         Args:
@@ -47,13 +57,16 @@ class BatchSimulation:
             substeps: Number of time steps of an IMU interval.
             recorded: Whether the motion in the middle of an interval is wanted.
             nthread: Number of threads; 0 means one for each processor.
+            movers: All moving objects of the model.
         """
-        model = spec.compile()
+        self._model = model = spec.compile()
+        self._movers = movers
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self._body = model.body("quadrotor").id
-        self._batch = Batch(model, count, nthread)
+        self._batch = Batch(model, count, nthread, persistent=True)
         self._pose, self._twist = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._control, self._contacts = self._batch.bind("ctrl"), self._batch.bind("ncon")
+        self._mocap_position, self._mocap_quat = self._batch.bind("mocap_pos"), self._batch.bind("mocap_quat")
         self._masses, self._inertias = self._batch.expand("body_mass"), self._batch.expand("body_inertia")
         self._batch.set_const()
         self._detector = BatchContacts(spec, count, nthread)
@@ -83,6 +96,13 @@ class BatchSimulation:
         self._pose[rows, 3:] = quat_wxyz_from_matrix(states.R_world_vehicle)
         self._twist[rows, :3] = states.velocity_m_s
         self._twist[rows, 3:] = states.rate_rad_s
+
+    def place_movers(self, rows: Rows, t_s: Array) -> None:
+        """Move the moving objects of k simulations to their poses at times (k,) [s]."""
+        if self._movers:
+            positions, quats = mocap_poses(self._model, self._movers, t_s)
+            self._mocap_position[rows] = positions.reshape(len(t_s), *self._mocap_position.shape[1:])
+            self._mocap_quat[rows] = quats.reshape(len(t_s), *self._mocap_quat.shape[1:])
 
     def motion(self, rows: Rows) -> Array:
         """Return the motion (13, k) of the physics."""
@@ -130,7 +150,12 @@ class BatchSimulation:
             return touched
         indices, touched = self._indices(rows)[candidates], touched.copy()
         finite = np.isfinite(self._pose[indices]).all(axis=1)
-        touched[candidates[finite]] = self._detector.detect(indices[finite], self._pose[indices[finite]])
+        touched[candidates[finite]] = self._detector.detect(
+            indices[finite],
+            self._pose[indices[finite]],
+            self._mocap_position[indices[finite]],
+            self._mocap_quat[indices[finite]],
+        )
         return touched
 
     def _diverging(self, rows: Rows, diverged: Mask) -> Indices:

@@ -1,10 +1,15 @@
 """Collision geometry of a world, and detection of contacts other than those of the feet with the ground."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
+
+from dronevio.models.arrays import Array
+from dronevio.models.rotation import quat_wxyz_from_matrix
 
 COLLISION_GROUP = 3
 """Group of the collision geoms; MuJoCo's viewers hide it by default."""
@@ -14,6 +19,18 @@ _LEVEL = 0.7  # smallest vertical component of the contact normal of a foot on t
 
 _COPIED = ("name", "type", "size", "pos", "quat", "group")
 _COPIED_TURN = ("type", "axisangle", "xyaxes", "zaxis", "euler")  # alternative parameters of an orientation
+
+
+class Moving(Protocol):
+    """Interface of an object of a world that moves along a path that does not depend on the flight."""
+
+    @property
+    def body(self) -> str:
+        """Name of its mocap body."""
+
+    @property
+    def poses(self) -> Callable[[Array], Array]:
+        """Function from times (M,) since the start of the flight [s] to poses T_world_body (M, 4, 4)."""
 
 
 @dataclass(frozen=True)
@@ -41,12 +58,26 @@ def add_floor(spec: mujoco.MjSpec) -> None:
 
 
 def add_collision_geoms(spec: mujoco.MjSpec, surroundings: mujoco.MjSpec) -> None:
-    """Add the collision geoms (group 3) of a world's static body, without visible geometry."""
-    for geom in surroundings.worldbody.geoms:
-        if geom.group == COLLISION_GROUP:
-            copy = spec.worldbody.add_geom(**{name: getattr(geom, name) for name in _COPIED})
+    """Add the collision geoms (group 3) of a world, also those of its moving bodies, without visible geometry."""
+    for body in surroundings.bodies:
+        solid = [geom for geom in body.geoms if geom.group == COLLISION_GROUP]
+        if not solid:
+            continue
+        to = spec.worldbody
+        if body.mocap:
+            to = spec.worldbody.add_body(name=body.name, mocap=True, pos=body.pos, quat=body.quat)
+        for geom in solid:
+            copy = to.add_geom(**{name: getattr(geom, name) for name in _COPIED})
             for name in _COPIED_TURN:
                 setattr(copy.alt, name, getattr(geom.alt, name))
+
+
+def mocap_poses(model: mujoco.MjModel, movers: Sequence[Moving], t_s: Array) -> tuple[Array, Array]:
+    """Return positions (M, K, 3) [m] and quaternions (M, K, 4) of the K mocap bodies of a model at times (M,) [s]."""
+    Ts = np.empty((len(t_s), model.nmocap, 4, 4))
+    for mover in movers:
+        Ts[:, model.body(mover.body).mocapid[0]] = mover.poses(t_s)
+    return Ts[..., :3, 3], quat_wxyz_from_matrix(Ts[..., :3, :3])
 
 
 def stands(is_foot: npt.NDArray[np.bool_], normal_z: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
@@ -60,7 +91,7 @@ class CollisionDetector:
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
         self._names = [model.geom(k).name for k in range(model.ngeom)]
-        self._of_world = np.asarray(model.geom_bodyid) == 0
+        self._of_world = np.asarray(model.body_rootid[model.geom_bodyid]) != model.body("quadrotor").rootid
         self._feet = np.array([name.startswith(FEET) for name in self._names])
 
     def detect(self, data: mujoco.MjData) -> tuple[str, str] | None:

@@ -1,5 +1,6 @@
 """Plant: MuJoCo's physics of a quadrotor in a world, on a clock of integer nanoseconds."""
 
+from collections.abc import Sequence
 from math import sqrt
 
 import mujoco
@@ -12,7 +13,7 @@ from dronevio.models.quadrotor import RESEARCH, Quadrotor
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import cross
 from dronevio.models.state import NavState
-from dronevio.sim.physics.collisions import Collision
+from dronevio.sim.physics.collisions import Collision, Moving
 from dronevio.sim.physics.motion import Motion
 from dronevio.sim.physics.rotors import ALL_POWERED, Airflow, MotorFailure, Rotors
 from dronevio.sim.physics.simulation import MotionRecord, Simulation
@@ -36,6 +37,7 @@ class QuadrotorPlant:
         quadrotor: Quadrotor | None = None,
         *,
         surroundings: mujoco.MjSpec | None = None,
+        movers: Sequence[Moving] = (),
         pad_m: Array | None = None,
         wind: Wind = CALM,
         failure: MotorFailure | None = None,
@@ -46,8 +48,8 @@ class QuadrotorPlant:
         Args:
             rig: Mounting and rate of the IMU.
             quadrotor: The vehicle; the research quadrotor of 1.5 kg by default.
-            surroundings: Specification of a world, whose static geoms of group 3 are obstacles; only a floor by
-                default.
+            surroundings: Specification of a world, whose geoms of group 3 are solid; only a floor by default.
+            movers: All moving objects of the world.
             pad_m: (3,) Initial position on the floor [m]; the origin by default.
             wind: Mean wind and gusts.
             failure: Failure of a rotor; none by default.
@@ -65,7 +67,7 @@ class QuadrotorPlant:
         self._rotors = Rotors(self.quadrotor)
         self._air = Air(wind, rng)
         self._failure = failure or MotorFailure(0, np.inf)
-        self._simulation = Simulation(physics_model(self.quadrotor, rig, self._step_s, surroundings), substeps)
+        self._simulation = Simulation(physics_model(self.quadrotor, rig, self._step_s, surroundings), substeps, movers)
         self._pad = np.zeros(3) if pad_m is None else np.asarray(pad_m, dtype=np.float64)
         self._standing = standing_pose(self.quadrotor, rig, self._step_s)
         self._standing[:3] += self._pad
@@ -198,7 +200,7 @@ class QuadrotorPlant:
         Returns:
             The motion (13,) in the middle of the interval.
         """
-        middle = self._simulation.run(self._rotors.wrench(self._state, self._airflow(motion)))
+        middle = self._simulation.run(self._rotors.wrench(self._state, self._airflow(motion)), t_ns)
         touching = self._simulation.touching()
         if touching is not None and self._collision is None:
             self._collision = Collision(t_ns + self.interval_ns, *touching, float(np.linalg.norm(motion[7:10])))

@@ -63,6 +63,8 @@ def physics_spec(
         add_floor(spec)
     else:
         add_collision_geoms(spec, surroundings)
+        spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP  # spares the kinematics of all static geoms
+        spec.body("quadrotor").sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
     spec.option.timestep = step_s
     spec.option.gravity = [0.0, 0.0, -GRAVITY_M_S2]
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # permits exact IMU samples; see `Motion`

@@ -41,18 +41,22 @@ class Kit:
     sheets: tuple[Sheet, ...] = ()
     """Curved parts of the object."""
     obstacles: tuple[Box, ...] = ()
-    """Collision boxes of the object."""
+    """Keep-out boxes of the object."""
+    filling: tuple[Box, ...] = ()
+    """Boxes that fill the curved parts."""
 
     def moved(self, R: Array, position: Array) -> "Kit":
         """Return the object rotated by R (3, 3) about the origin, then translated by ``position`` (3,)."""
-        boxes, obstacles = (tuple(box.moved(R, position) for box in part) for part in (self.boxes, self.obstacles))
+        parts = (self.boxes, self.obstacles, self.filling)
+        boxes, obstacles, filling = (tuple(box.moved(R, position) for box in part) for part in parts)
         sheets = tuple(replace(sheet, grid=sheet.grid @ R.T + position) for sheet in self.sheets)
-        return Kit(boxes, sheets, obstacles)
+        return Kit(boxes, sheets, obstacles, filling)
 
     def as_instance(self, kind: str) -> "Kit":
         """Return the object as one instance of a kind."""
         thing = Instance(kind)
-        return replace(self, boxes=parts_of(thing, self.boxes), sheets=parts_of(thing, self.sheets))
+        boxes, filling = (parts_of(thing, part) for part in (self.boxes, self.filling))
+        return replace(self, boxes=boxes, sheets=parts_of(thing, self.sheets), filling=filling)
 
 
 def kit_of(boxes: Sequence[Box], parts: Sequence[Kit] = ()) -> Kit:
@@ -61,6 +65,7 @@ def kit_of(boxes: Sequence[Box], parts: Sequence[Kit] = ()) -> Kit:
         tuple(boxes) + tuple(box for part in parts for box in part.boxes),
         tuple(sheet for part in parts for sheet in part.sheets),
         tuple(boxes) + tuple(box for part in parts for box in part.obstacles),
+        tuple(box for part in parts for box in part.filling),
     )
 
 
@@ -92,7 +97,7 @@ def drumlike(
     solid = prism_boxes(radius_m, 0.0, length_m, sides)
     if lid_m > 0.0:
         solid += prism_boxes(0.64 * radius_m, length_m, length_m + lid_m, sides)
-    return Kit((), tuple(sheets), tuple(solid))
+    return Kit((), tuple(sheets), tuple(solid), tuple(solid))
 
 
 @single_instance
@@ -105,7 +110,8 @@ def pipe_run(points: Sequence[Sequence[float]], radius_m: float, colour: Colour)
         low = np.minimum(a, b)
         grid = lateral_surface(np.array([length, 0.0]), np.full(2, radius_m), _THIN_SIDES)
         R = (_R_ALONG_X, _R_ALONG_Y, np.eye(3))[axis]
-        tube = Kit((), (Sheet(grid, paint, pixels_per_m=_PPM),), tuple(prism_boxes(radius_m, 0.0, length, _THIN_SIDES)))
+        inside = tuple(prism_boxes(radius_m, 0.0, length, _THIN_SIDES))
+        tube = Kit((), (Sheet(grid, paint, pixels_per_m=_PPM),), inside, inside)
         parts.append(tube.moved(R, low))
     collar = steel(scaled(colour, 0.8))
     joints = [Box(joint, np.full(3, 1.15 * radius_m), collar, pixels_per_m=80.0) for joint in path[1:-1]]
@@ -241,7 +247,7 @@ def catwalk(length_m: float, height_m: float) -> Kit:
 
 def with_lattice(kit: Kit, bars: Sequence[Box]) -> Kit:
     """Return an object with vertical bars, and one obstacle around them, since a drone cannot pass between them."""
-    return Kit((*kit.boxes, *bars), kit.sheets, (*kit.obstacles, around(bars)))
+    return Kit((*kit.boxes, *bars), kit.sheets, (*kit.obstacles, around(bars)), kit.filling)
 
 
 def around(boxes: Sequence[Box]) -> Box:

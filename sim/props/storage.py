@@ -1,6 +1,6 @@
 """Equipment of a warehouse: pallets with loads, racks, a forklift, packing tables."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import cv2
@@ -19,6 +19,7 @@ PALLET_M = np.array([1.05, 1.0, 0.14])
 """(3,) Width, depth and height of a pallet [m]."""
 _LOAD_PX_PER_M, _SIDE_PX_PER_M, _STEEL_PX_PER_M = 132.0, 64.0, 96.0
 _VARIANTS = 21
+_PANEL_M = 0.04  # thickness of a side of a load, of which the goods are open behind
 _BLUE: Colour = (46, 78, 128)
 _ORANGE: Colour = (216, 110, 36)
 
@@ -58,8 +59,21 @@ def _outside(box: Box, px_per_m: float, sides_px_per_m: float, top: bool = True)
     return faces
 
 
-def loaded_pallet(rng: Random, stock: Stock, R: Array, position: Array, most_m: float) -> tuple[list[Face], float]:
-    """Return the faces of a pallet with its load, and its height [m].
+def _panels(box: Box, top: bool = True) -> list[Box]:
+    """Return a panel behind each face of `_outside`: what is not drawn behind and below is not solid either."""
+    panels = []
+    for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (2, 1.0))[: 4 if top else 3]:
+        half = box.half.copy()
+        half[axis] = 0.5 * _PANEL_M
+        shift = sign * (box.half[axis] - half[axis]) * box.R[:, axis]
+        panels.append(replace(box, centre=box.centre + shift, half=half))
+    return panels
+
+
+def loaded_pallet(
+    rng: Random, stock: Stock, R: Array, position: Array, most_m: float
+) -> tuple[list[Face], tuple[Box, ...], float]:
+    """Return the visible faces of a pallet with its load, panels behind them, and its height [m].
 
     Args:
         rng: Draws what lies on it.
@@ -69,12 +83,16 @@ def loaded_pallet(rng: Random, stock: Stock, R: Array, position: Array, most_m: 
         most_m: Height of the space for it [m].
     """
     foot = Box(np.array([0.0, 0.0, 0.5 * PALLET_M[2]]), 0.5 * PALLET_M, textures_storage.pallet)
-    faces = _outside(foot.moved(R, position), _SIDE_PX_PER_M, _SIDE_PX_PER_M, top=False)
+    foot = foot.moved(R, position)
+    faces = _outside(foot, _SIDE_PX_PER_M, _SIDE_PX_PER_M, top=False)
     number, tall = int(rng.integers(len(stock.images))), float(rng.uniform(0.55, 0.95)) * (most_m - PALLET_M[2])
     half = 0.5 * np.array([PALLET_M[0] - rng.uniform(0.02, 0.14), PALLET_M[1] - rng.uniform(0.02, 0.14), tall])
     load = Box(np.array([rng.uniform(-0.02, 0.02), 0.0, PALLET_M[2] + half[2]]), half, stock.side(number))
-    faces += _outside(load.moved(R, position), _LOAD_PX_PER_M, _SIDE_PX_PER_M)
-    return list(parts_of(Instance("pallet"), faces)), float(PALLET_M[2] + tall)
+    load = load.moved(R, position)
+    faces += _outside(load, _LOAD_PX_PER_M, _SIDE_PX_PER_M)
+    pallet = Instance("pallet")
+    panels = (*_panels(foot, top=False), *_panels(load))
+    return list(parts_of(pallet, faces)), parts_of(pallet, panels), float(PALLET_M[2] + tall)
 
 
 @single_instance

@@ -16,7 +16,7 @@ from dronevio.sim.appearance.cutouts import Cutouts, joined, spray
 from dronevio.sim.appearance.instances import Instance, single_instance
 from dronevio.sim.appearance.lightmap import Field
 from dronevio.sim.appearance.prisms import UNPAINTED, lateral_surface, prism_boxes
-from dronevio.sim.appearance.solids import Box
+from dronevio.sim.appearance.solids import Box, parts_of
 from dronevio.sim.appearance.textures import Colour, scaled
 
 Random = np.random.Generator
@@ -38,18 +38,21 @@ class Vegetation:
     leaves: tuple[Cutouts, ...]
     """Parts with the leaf texture."""
     obstacles: tuple[Box, ...]
-    """Collision boxes within the flight space."""
+    """Keep-out boxes within the flight space."""
+    filling: tuple[Box, ...]
+    """Boxes that fill it within the flight space."""
 
     def moved(self, R: Array, position: Array) -> "Vegetation":
         """Return the plant rotated by R (3, 3), then translated by ``position`` (3,)."""
         wood, leaves = (tuple(part.moved(R, position) for part in parts) for parts in (self.wood, self.leaves))
-        return Vegetation(wood, leaves, tuple(box.moved(R, position) for box in self.obstacles))
+        boxes = (tuple(box.moved(R, position) for box in part) for part in (self.obstacles, self.filling))
+        return Vegetation(wood, leaves, *boxes)
 
     def as_instance(self, kind: str) -> "Vegetation":
         """Return the plant as one instance of a kind."""
         thing = Instance(kind)
         wood, leaves = (tuple(replace(part, instance=thing) for part in parts) for parts in (self.wood, self.leaves))
-        return Vegetation(wood, leaves, self.obstacles)
+        return Vegetation(wood, leaves, self.obstacles, parts_of(thing, self.filling))
 
 
 @single_instance
@@ -90,9 +93,8 @@ def tree(
     root = Box(
         np.array([0.0, 0.0, 0.5 * flare]), np.array([0.85, 0.85, 0.0]) * radius_m + [0, 0, 0.5 * flare], UNPAINTED
     )
-    return Vegetation((trunk,), (crown,), (*prism_boxes(radius_m, -0.1, within_m, sides), root)).moved(
-        _leaning(rng), np.zeros(3)
-    )
+    solid = (*prism_boxes(radius_m, -0.1, within_m, sides), root)
+    return Vegetation((trunk,), (crown,), solid, solid).moved(_leaning(rng), np.zeros(3))
 
 
 def _leaning(rng: Random) -> Array:
@@ -131,7 +133,8 @@ def bush(rng: Random, sun: Array) -> Vegetation:
     leaves.corners[..., 2] = np.maximum(leaves.corners[..., 2], 0.01)
     reach = np.abs(leaves.corners[..., :2]).max(axis=(0, 1))
     top = float(leaves.corners[..., 2].max())
-    return Vegetation((), (leaves,), (Box(np.array([0.0, 0.0, 0.5 * top]), np.array([*reach, 0.5 * top]), UNPAINTED),))
+    hull = Box(np.array([0.0, 0.0, 0.5 * top]), np.array([*reach, 0.5 * top]), UNPAINTED)
+    return Vegetation((), (leaves,), (hull,), filled(sampled_quads(leaves.corners), _CELL_M))
 
 
 @single_instance
@@ -147,7 +150,7 @@ def fern(rng: Random, fronds: int = 9) -> Vegetation:
         turn = rotation_z(2.0 * np.pi * (k + rng.uniform(-0.3, 0.3)) / fronds)
         parts.append(Cutouts(frond[None] @ turn.T, on_image[None]))
     top = joined(parts)
-    return Vegetation((), (top, top.turned_over()), ())
+    return Vegetation((), (top, top.turned_over()), (), ())
 
 
 @single_instance
@@ -167,8 +170,36 @@ def log(rng: Random, radius_m: float, length_m: float, kind: int) -> Vegetation:
             ends.append(Cutouts(corners[None], np.concatenate([cell, 0.5 + 0.02 * corners[:, 1:2]], axis=1)[None]))
     lie = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     lift = np.array([0.0, 0.0, 0.85 * radius_m])
-    whole = Vegetation((bark, joined(ends)), (), tuple(prism_boxes(radius_m, -0.5 * length_m, 0.5 * length_m, _SIDES)))
+    solid = tuple(prism_boxes(radius_m, -0.5 * length_m, 0.5 * length_m, _SIDES))
+    whole = Vegetation((bark, joined(ends)), (), solid, solid)
     return whole.moved(lie, lift).moved(rotation_z(rng.uniform(0.0, np.pi)), np.zeros(3))
+
+
+_CELL_M = 0.1  # of what fills irregular objects
+
+
+def sampled_quads(corners: Array, each: int = 5) -> Array:
+    """Return points (F · each², 3) spread over quadrangles (F, 4, 3), their edges included."""
+    u, v = (part.ravel()[:, None, None] for part in np.meshgrid(*[np.linspace(0.0, 1.0, each)] * 2))
+    a, b, c, d = (corners[:, k] for k in range(4))
+    return np.asarray(((1 - u) * (1 - v) * a + u * (1 - v) * b + u * v * c + (1 - u) * v * d).reshape(-1, 3))
+
+
+def filled(points: Array, gap_m: float = np.inf) -> tuple[Box, ...]:
+    """Return boxes that fill a closed surface, given points (N, 3) on it: bars along y within 5 cm of it.
+
+    Points below the ground z = 0 are ignored. Bars are interrupted where there is no point for ``gap_m``.
+    """
+    points = points[points[:, 2] >= 0.0]
+    cells = np.floor(points[:, [0, 2]] / _CELL_M).astype(int)
+    bars = []
+    for column, row in np.unique(cells, axis=0):
+        inside = np.sort(points[(cells[:, 0] == column) & (cells[:, 1] == row), 1])
+        for part in np.split(inside, np.flatnonzero(np.diff(inside) > gap_m) + 1):
+            half = np.array([0.5 * _CELL_M, max(0.5 * float(np.ptp(part)), 0.01), 0.5 * _CELL_M])
+            middle = np.array([(column + 0.5) * _CELL_M, 0.5 * (part[0] + part[-1]), (row + 0.5) * _CELL_M])
+            bars.append(Box(middle, half, UNPAINTED))
+    return tuple(bars)
 
 
 def boulder(rng: Random, half: Array) -> tuple[Array, Box]:

@@ -48,24 +48,32 @@ def assembled(layout: Layout, appearance: Appearance) -> mujoco.MjSpec:
         add_mirror(spec, layout.mirror.face, appearance.mirror, layout.mirror.reflectance)
     for thing, pages in zip(layout.moving, appearance.moving_pages, strict=True):
         add_pages(spec, _add_mover(spec, thing), thing.name, pages)
+    add_moving_geoms(spec, layout)
     return spec
 
 
 def assembled_instances(layout: Layout) -> mujoco.MjSpec:
     """Return the visible geometry of a world without textures, one geom per object instance."""
+    spec = mujoco.MjSpec()
+    quads = instance_quads(layout)
+    _set_up_view(spec, layout, np.concatenate([part.reshape(-1, 3) for part in quads.values()]))
+    for name, part in quads.items():
+        add_instance(spec, spec.worldbody, name, part)
+    for thing in layout.moving:
+        sides = [quads_of(face.grid) for box in thing.boxes for face in box.faces()]
+        add_instance(spec, _add_mover(spec, thing), thing.name, np.concatenate(sides))
+    return spec
+
+
+def instance_quads(layout: Layout) -> dict[str, Array]:
+    """Return the visible static surfaces of a layout: the quadrangles (F, 4, 3) of each object instance by its name."""
     quads: dict[Instance, list[Array]] = {}
     for surface in seen_surfaces(layout):
         quads.setdefault(surface.instance, []).append(quads_of(surface.grid))
     for cutouts in (part for shared in layout.prints for part in shared.cutouts):
         quads.setdefault(cutouts.instance, []).append(cutouts.corners)
-    spec = mujoco.MjSpec()
-    _set_up_view(spec, layout, np.concatenate([part.reshape(-1, 3) for parts in quads.values() for part in parts]))
-    for name, parts in zip(unique_names(quads), quads.values(), strict=True):
-        add_instance(spec, spec.worldbody, name, np.concatenate(parts))
-    for thing in layout.moving:
-        sides = [quads_of(face.grid) for box in thing.boxes for face in box.faces()]
-        add_instance(spec, _add_mover(spec, thing), thing.name, np.concatenate(sides))
-    return spec
+    names = unique_names(quads)
+    return {name: np.concatenate(parts) for name, parts in zip(names, quads.values(), strict=True)}
 
 
 def seen_surfaces(layout: Layout) -> list[Surface]:
@@ -82,8 +90,17 @@ def _add_mover(spec: mujoco.MjSpec, thing: MovingObject) -> mujoco.MjsBody:
 
 
 def space_of(layout: Layout) -> Space:
-    """Return the space of a layout: its bounds, its obstacles, and the lanes of moving objects."""
-    boxes = (*layout.obstacles, *layout.lanes)
+    """Return the space of a layout for planning: bounds, keep-out boxes around obstacles, lanes of moving objects."""
+    return _space_with(layout, (*layout.obstacles, *layout.lanes))
+
+
+def solid_space_of(layout: Layout) -> Space:
+    """Return the space of a layout with its solids, which are those of its collision geoms, as obstacles."""
+    return _space_with(layout, layout.solids)
+
+
+def _space_with(layout: Layout, boxes: Sequence[Box]) -> Space:
+    """Return the space within the bounds of a layout around some boxes."""
     centres, halves = (np.array([getattr(box, part) for box in boxes]).reshape(-1, 3) for part in ("centre", "half"))
     rotations = np.array([box.R for box in boxes]).reshape(-1, 3, 3)
     return Space(layout.low.copy(), layout.high.copy(), centres, halves, rotations)
@@ -110,7 +127,7 @@ def _set_up_view(spec: mujoco.MjSpec, layout: Layout, seen: Array) -> None:
 
 
 def add_collision_geoms(spec: mujoco.MjSpec, layout: Layout) -> None:
-    """Add the collision geoms: floor, walls and ceiling if there are any, and obstacles."""
+    """Add the collision geoms: floor, walls and ceiling if there are any, solids, and moving objects."""
     middle = 0.5 * (layout.low + layout.high)
     planes = [("floor", 2, layout.low)]
     if layout.walled:
@@ -131,13 +148,21 @@ def add_collision_geoms(spec: mujoco.MjSpec, layout: Layout) -> None:
             zaxis=inward,
             group=_COLLISION_GROUP,
         )
-    for number, box in enumerate(layout.obstacles):
-        _add_block(spec, f"obstacle_{number}", box)
+    for number, box in enumerate(layout.solids):
+        _add_block(spec.worldbody, f"{box.instance.kind}_part_{number}", box)
 
 
-def _add_block(spec: mujoco.MjSpec, name: str, box: Box) -> None:
-    """Add a collision box."""
-    spec.worldbody.add_geom(
+def add_moving_geoms(spec: mujoco.MjSpec, layout: Layout) -> None:
+    """Add the collision geoms of the moving objects, on bodies of their names that are added where missing."""
+    for thing in layout.moving:
+        body = spec.body(thing.name) or _add_mover(spec, thing)
+        for number, box in enumerate(thing.boxes):
+            _add_block(body, f"{thing.name}_part_{number}", box)
+
+
+def _add_block(body: mujoco.MjsBody, name: str, box: Box) -> None:
+    """Add a collision box to a body."""
+    body.add_geom(
         name=name,
         type=mujoco.mjtGeom.mjGEOM_BOX,
         size=box.half,

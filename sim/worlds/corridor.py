@@ -92,6 +92,7 @@ def layout(rng: Random) -> Layout:
         free_box=np.array([[-8.5, -_MIDDLE_M[1] - 0.5, 0.0], [8.5, -_MIDDLE_M[1] + 0.5, 2.2]]),
         route=_route(),
         shading=(*_core(), *fronts, *shading(boxes)),
+        filling=(*_core(), *fronts),
     )
 
 

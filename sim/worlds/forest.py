@@ -12,7 +12,8 @@ from dronevio.sim.appearance import pictures, textures
 from dronevio.sim.appearance import textures_nature as nature
 from dronevio.sim.appearance.cutouts import Print
 from dronevio.sim.appearance.instances import Instance
-from dronevio.sim.appearance.solids import Box, Sheet
+from dronevio.sim.appearance.scenery import quads_of
+from dronevio.sim.appearance.solids import Box, Sheet, parts_of
 from dronevio.sim.appearance.textures import Colour, scaled
 from dronevio.sim.props import vegetation
 from dronevio.sim.props.vegetation import Vegetation
@@ -111,6 +112,10 @@ def layout(rng: Random, light: Random | None = None) -> Layout:
     stone = partial(nature.stone, colour=_STONE)
     stones = tuple(Sheet(grid, stone, pixels_per_m=160.0, instance=Instance("boulder")) for grid, _ in boulders)
     shade = [_shade(place, radius) for _, place, radius in plantation]
+    filling = [box for plant in growing for box in plant.filling]
+    for boulder in stones:
+        inside = vegetation.filled(vegetation.sampled_quads(quads_of(boulder.grid), 9))
+        filling += parts_of(boulder.instance, inside)
     obstacles = [box for plant in growing for box in plant.obstacles] + [box for _, box in boulders]
     wood = tuple(part for plant in growing for part in plant.wood)
     leaves = tuple(part for plant in growing for part in plant.leaves)
@@ -126,6 +131,7 @@ def layout(rng: Random, light: Random | None = None) -> Layout:
         route=route,
         walled=False,
         shading=tuple(shade + [replace(box, half=0.65 * box.half) for _, box in boulders]),
+        filling=tuple(filling),
         prints=(
             Print(partial(vegetation.bark_image, colours=_BARKS, sun=toward), 1400, 1536, wood),
             Print(partial(vegetation.leaf_image, colours=season.leaves), 256, 2048, leaves),
@@ -154,7 +160,7 @@ def _trees(rng: Random, route: Array, toward: Array) -> list[tuple[Vegetation, A
         plant = vegetation.tree(rng, radius, tall, _HIGH[2] + 0.2, kind, toward, twigs, sides)
         plant = plant.moved(np.eye(3), np.array([*place, 0.0]))
         if not inside:
-            plant = Vegetation(plant.wood, plant.leaves, ())
+            plant = Vegetation(plant.wood, plant.leaves, (), ())
         trees.append((plant, place, float(radius)))
     return trees
 

@@ -118,6 +118,7 @@ def layout(rng: Random, light: Random | None = None) -> Layout:
         route=route,
         walled=False,
         shading=tuple(stand),
+        filling=(*stand, *others),
         gates=tuple(gates),
         prints=(
             Print(

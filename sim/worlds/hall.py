@@ -96,6 +96,7 @@ def layout(rng: Random) -> Layout:
         free_box=_FREE_BOX_M.copy(),
         route=route,
         shading=shading,
+        filling=tuple(box for kit in kits for box in kit.filling),
     )
 
 

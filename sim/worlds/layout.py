@@ -16,13 +16,14 @@ Poses = Callable[[Array], Array]
 """Function from times (M,) since the start of the flight [s] to poses (M, 4, 4) in the world."""
 Difficulty = Literal["normal", "hard"]
 
+_FLAT_M = 0.01  # highest object on the floor that is no obstacle
 ROUTE_CLEARANCE_M = 0.6
 """Smallest clearance of the route of a world [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class MovingObject:
-    """A moving object: visible, but without collision geometry, since paths avoid its lane."""
+    """A moving object, whose boxes are both visible and solid; planned paths avoid its lane."""
 
     name: str
     """Name of the object and of its body in the model."""
@@ -56,7 +57,7 @@ class Layout:
     boxes: tuple[Box, ...]
     """All other visible boxes; faces against the bounds of the flight space are omitted."""
     obstacles: tuple[Box, ...]
-    """Collision boxes around the visible objects; their paint is not used."""
+    """Keep-out boxes for path planning, which contain the solids of the objects; their paint is not used."""
     lights: tuple[AreaLight, ...]
     """Area lights of the world."""
     pad: Array
@@ -84,6 +85,17 @@ class Layout:
     """Cutouts with shared textures that include their lighting, such as trunks and leaves."""
     gates: tuple[Gate, ...] = ()
     """Gates of a race course in the order of passage."""
+    filling: tuple[Box, ...] = ()
+    """Boxes that fill visible surfaces other than those of boxes, such as trunks, drums and the core of a building."""
+
+    @property
+    def solids(self) -> tuple[Box, ...]:
+        """What is solid, apart from the bounds and the moving objects: the visible boxes and what fills other surfaces.
+
+        Contacts, shortest paths and the truth of maps derive from these boxes. Mats on the floor are no obstacles.
+        """
+        level = self.low[2] + _FLAT_M
+        return tuple(box for box in (*self.boxes, *self.filling) if box.centre[2] + np.abs(box.R[2]) @ box.half > level)
 
 
 @dataclass(frozen=True)

@@ -41,13 +41,15 @@ def layout(rng: Random) -> Layout:
     shell: list[Surface] = [*_hall(rng)]
     pieces: list[Piece] = []
     shading: list[Box] = []
+    filling: list[Box] = []
     for y, turn in _RACKS:
         place = np.array([_RACK_X_M, y, 0.0])
         pieces.append(rack(_BAYS, _BAY_M, _DEPTH_M, _LEVELS_M, _HEIGHT_M).moved(rotation_z(turn), place))
-        shell += _goods(rng, stock, rotation_z(turn), place)
+        faces, loads = _goods(rng, stock, rotation_z(turn), place)
+        shell, filling = [*shell, *faces], [*filling, *loads]
         shading += _shelves(rotation_z(turn), place)
     obstacles = _rack_hulls()
-    _loading_area(rng, stock, pieces, obstacles, shell)
+    filling += _loading_area(rng, stock, pieces, obstacles, shell)
     _roof(pieces, obstacles)
     boxes = coarse([box for piece in pieces for box in piece.boxes], _THING_PX_PER_M)
     shading += [box for box in boxes if box.glow == 0.0 and box.half.min() > 0.08]
@@ -62,6 +64,7 @@ def layout(rng: Random) -> Layout:
         free_box=np.array([[-10.0, -5.0, 0.0], [-6.0, 5.0, 5.0]]),
         route=_route(),
         shading=tuple(shading),
+        filling=tuple(filling),
     )
 
 
@@ -124,17 +127,19 @@ def _wall(rng: Random, height: int, width: int, colour: textures.Colour, px_per_
     return image
 
 
-def _goods(rng: Random, stock: Stock, R: Array, back: Array) -> list[Surface]:
-    """Return the goods of a rack with its back at ``back`` (3,) and orientation R (3, 3)."""
+def _goods(rng: Random, stock: Stock, R: Array, back: Array) -> tuple[list[Surface], list[Box]]:
+    """Return faces and boxes of the goods of a rack with its back at ``back`` (3,) and orientation R (3, 3)."""
     faces: list[Surface] = []
+    loads: list[Box] = []
     tops = (*np.diff(_LEVELS_M) - 0.2, _TOP_M - _LEVELS_M[-1])
     for level, room in zip(_LEVELS_M, tops, strict=True):
         for x in (np.arange(2 * _BAYS) + 0.5) * 0.5 * _BAY_M - 0.5 * _BAYS * _BAY_M:
             if rng.random() > _EMPTY:
                 inside = np.array([x + rng.uniform(-0.02, 0.02), 0.54 + rng.uniform(-0.03, 0.03), level])
                 turned = R @ rotation_z(rng.uniform(-0.02, 0.02))
-                faces += loaded_pallet(rng, stock, turned, R @ inside + back, float(room))[0]
-    return faces
+                seen, boxes, _ = loaded_pallet(rng, stock, turned, R @ inside + back, float(room))
+                faces, loads = [*faces, *seen], [*loads, *boxes]
+    return faces, loads
 
 
 def _shelves(R: Array, back: Array) -> list[Box]:
@@ -162,8 +167,15 @@ def _rack_hulls() -> list[Box]:
     return hulls
 
 
-def _loading_area(rng: Random, stock: Stock, pieces: list[Piece], obstacles: list[Box], shell: list[Surface]) -> None:
-    """Fill the loading area: doors in the west wall, tables and cabinets between them, pallets and a forklift."""
+def _loading_area(
+    rng: Random, stock: Stock, pieces: list[Piece], obstacles: list[Box], shell: list[Surface]
+) -> list[Box]:
+    """Fill the loading area: doors in the west wall, tables and cabinets between them, pallets and a forklift.
+
+    Returns:
+        The boxes of the pallets and their loads.
+    """
+    filling: list[Box] = []
     south, east, north, west = room_walls(LOW_M, HIGH_M)
     for number, x in enumerate((-5.0, 0.0, 5.0)):
         door = partial(textures_storage.roller_door, colour=(176, 178, 176), number=f"{number + 1}")
@@ -185,11 +197,13 @@ def _loading_area(rng: Random, stock: Stock, pieces: list[Piece], obstacles: lis
         tall = 0.0
         R = rotation_z((0.0 if y < 0.0 else np.pi) + rng.uniform(-0.08, 0.08))
         for _ in range(int(rng.integers(1, 3))):
-            faces, height = loaded_pallet(rng, stock, R, np.array([x, y, tall]), 1.25)
+            faces, loads, height = loaded_pallet(rng, stock, R, np.array([x, y, tall]), 1.25)
             shell += faces
+            filling += loads
             tall += height
         half = np.array([0.6, 0.58, 0.5 * tall])
         obstacles.append(Box(np.array([x, y, half[2]]), half, partial(textures.plain, colour=METAL), R=R))
+    return filling
 
 
 @single_instance

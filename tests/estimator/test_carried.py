@@ -67,8 +67,14 @@ def test_carried_vehicle_is_lost_and_starts_again_at_once(make_flight: MakeFligh
     assert last is not None
     velocity, true_velocity = (s.T_world_imu[:3, :3].T @ s.velocity_m_s for s in (last, truth))
     assert np.linalg.norm(velocity - true_velocity) < 0.03
+    # The poses after the recovery are in another odometry frame than those before.
+    track = [estimate.track for estimate in estimates]
+    assert track == sorted(track) and track[0] == track[round((CARRIED_S - 0.5) * FRAMES_PER_S)] == 0 < track[-1]
+    lost = next(k for k, e in enumerate(estimates) if any(text.startswith("lost") for text in e.events))
+    assert track[lost] == track[-1]
 
 
 def test_exchanged_features_in_the_same_place_are_no_loss(make_flight: MakeFlight) -> None:
     _, estimates = carried(make_flight, 0, skipped_s=0.0)
     assert all(e.state is not None for e in estimates[2 * FRAMES_PER_S :]) and estimates[-1].health is Health.TRACKING
+    assert estimates[-1].track == 1  # no image has shown that it is the same place

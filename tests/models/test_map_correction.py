@@ -46,3 +46,18 @@ def test_applied_correction_maps_the_poses(correction: MapCorrection) -> None:
     expected = correction.Ts_map_odom @ odometry.Ts_world_imu
     np.testing.assert_allclose(mapped.Ts_world_imu, expected, atol=1e-12)
     assert mapped.velocity_m_s is None and mapped.covariance is None
+
+
+def test_a_track_is_joined_by_its_keyframes(correction: MapCorrection) -> None:
+    empty = MapCorrection.empty()
+    assert empty.of_track(0, 50) is None and np.isnan(empty.at(TIMES_NS)).all()
+    lost = correction.with_track(200)
+    assert lost.of_track(1, 250) is None
+    for t_ns in (-5, 25, 100, 250, 400):  # also at times of the other track
+        np.testing.assert_array_equal(lost.of_track(0, t_ns), correction.at(np.array([t_ns]))[0])
+    np.testing.assert_array_equal(np.isnan(lost.at(TIMES_NS)[:, 0, 0]), [False, False, True])
+
+
+def test_tracks_begin_one_after_another(correction: MapCorrection) -> None:
+    starts_ns = correction.with_track(200).with_track(200).starts_ns
+    assert starts_ns is not None and np.all(np.diff(starts_ns) > 0)

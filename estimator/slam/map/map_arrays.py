@@ -7,10 +7,8 @@ import numpy as np
 
 from dronevio.estimator.slam.map.keyframe import MapKeyframe
 from dronevio.estimator.slam.map.pose_graph import OptimizedGraph
+from dronevio.models.map_correction import FIRST_NS
 from dronevio.models.slam_map import SlamMap
-
-FIRST_NS = -(2**62)
-"""Time at which the first track begins, before all others [ns]."""
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ class KeyframeMessages:
             self.lost()
             self._has_track = True
         images, R_odom_imu = tuple(frame.images), keyframe.state.T_world_imu[:3, :3]
-        imaged = ImagedKeyframe(images, keyframe.calibration.rig, R_odom_imu, keyframe.observations)
+        imaged = ImagedKeyframe(images, keyframe.calibration.rig, R_odom_imu, keyframe.observations, frame.t_ns)
         self._waiting[keyframe.t_ns] = keyframe, imaged, frame.t_ns
         if not self._has_map_pose:
             estimate = KeyframeEstimate.of_state(keyframe.state, keyframe.landmark_ids, keyframe.landmarks_odom)

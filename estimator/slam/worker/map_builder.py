@@ -10,11 +10,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
 
+import numpy as np
+
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.adjustment.adjuster import Adjuster, LocalAdjuster
 from dronevio.estimator.slam.adjustment.flight_measurements import FlightMeasurements, KeyframeMeasurements
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
+from dronevio.estimator.slam.correction_changes import CorrectionChanges, changes_since
 from dronevio.estimator.slam.files.saved_map import KnownMap
 from dronevio.estimator.slam.mapper import Mapper
 from dronevio.estimator.slam.places.features import PlaceFeatureExtractor
@@ -23,6 +26,7 @@ from dronevio.estimator.slam.places.recognizer import PlaceRecognizer
 from dronevio.estimator.slam.schedule import AdjustmentSchedule
 from dronevio.estimator.types import Observations
 from dronevio.models.arrays import Array, Image
+from dronevio.models.map_correction import MapCorrection
 from dronevio.models.rig import Rig
 
 Result = TypeVar("Result")
@@ -40,6 +44,8 @@ class ImagedKeyframe:
     """(3, 3) Causal estimate of the orientation of the IMU in the odometry frame."""
     observations: Observations
     """The features of the keyframe in all cameras."""
+    stamp_ns: int | None = None
+    """Time stamp of its frame [ns]; None if it is the time of the keyframe, which is by the clock of the IMU."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +154,8 @@ class MapBuilder:
         self._schedule = AdjustmentSchedule(config.adjustment_schedule)
         self._adjuster = adjuster
         self._keyframes = 0
+        self._stamps_ns: dict[int, int] = {}  # by the times of keyframes
+        self._known = MapCorrection.empty()  # as corrections have reported it
 
     @property
     def adjustment_cpu_s(self) -> float:
@@ -165,10 +173,22 @@ class MapBuilder:
             case MarginalizedKeyframe(keyframe, estimate, measured):
                 events = self._finish_adjustment()
                 correction = replace(self.mapper.add(estimate, self._view(keyframe)), events=events)
+                self._stamps_ns[estimate.t_ns] = estimate.t_ns if keyframe.stamp_ns is None else keyframe.stamp_ns
+                correction = replace(correction, changes=self._report_changes())
                 if measured is not None:
                     self._measurements.add(estimate, measured)
                     self._begin_adjustment(correction)
                 return correction
+
+    def _report_changes(self) -> CorrectionChanges:
+        """Return what has changed of the correction at the keyframes of the map since the last report."""
+        poses = self.mapper.poses
+        keyframes = [k for k in self.mapper.keyframes if k.number in poses and k.t_ns in self._stamps_ns]
+        stamps_ns = np.array([self._stamps_ns[keyframe.t_ns] for keyframe in keyframes], np.int64)
+        Ts_map_imu = np.array([poses[keyframe.number] for keyframe in keyframes]).reshape(-1, 4, 4)
+        changes = changes_since(self._known, stamps_ns, keyframes, Ts_map_imu)
+        self._known = changes.applied(self._known)
+        return changes
 
     def _finish_adjustment(self) -> tuple[str, ...]:
         """Adjust the map if the result of an adjustment is due at a new keyframe, and return what happened."""

@@ -48,6 +48,10 @@ def test_answers_equal_those_of_a_map_in_this_process(worker: MapProcess, two_la
         assert expected is not None and found is not None
         assert found.T_map_odom is not None and expected.T_map_odom is not None
         assert found.T_map_odom.tobytes() == expected.T_map_odom.tobytes()
+        assert [getattr(found.changes, name).tobytes() for name in vars(found.changes)] == [
+            getattr(expected.changes, name).tobytes() for name in vars(expected.changes)
+        ]
+        assert len(found.changes.t_ns) >= 1
         assert found.covariance.tobytes() == expected.covariance.tobytes()
         assert [loop.T_first_second.tobytes() for loop in found.loops] == [
             loop.T_first_second.tobytes() for loop in expected.loops

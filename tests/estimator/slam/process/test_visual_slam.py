@@ -23,10 +23,11 @@ from dronevio.estimator.types import Calibration
 from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
+from dronevio.models.map_correction import MapCorrection
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import pose_matrix, rotation_z
 from dronevio.models.state import CameraFrame, Estimate, Health, NavState, Trajectory
-from tests.estimator.slam.process.conftest import DRIFT_M, INTERVAL_NS, PLACES, keyframe, one_camera
+from tests.estimator.slam.process.conftest import DRIFT_M, INTERVAL_NS, PLACES, SECOND_LAP_NS, keyframe, one_camera
 
 T_SECOND_FIRST = pose_matrix(rotation_z(1.0), np.array([10.0, -20.0, 3.0]))
 """Pose of the first odometry frame in that after the loss."""
@@ -138,6 +139,64 @@ def test_after_a_loss_a_recognized_place_gives_the_pose(
     for estimate in after[:joined]:
         assert estimate.T_map_odom is None and estimate.T_map_imu is None and estimate.map_covariance is None
     assert slam.summary.separate_tracks == 0
+
+
+def test_the_correction_at_keyframes_has_the_schedule_of_the_newest_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = one_camera()
+    _, estimates = run(monkeypatch, [keyframe(rig, place, lap) for lap in range(2) for place in range(PLACES)])
+    corrections = [estimate.map_correction for estimate in estimates]
+    known: MapCorrection | None = None
+    for index, (estimate, found) in enumerate(zip(estimates, corrections, strict=True)):
+        assert found is not None and estimate.track == 0 and estimate.T_map_odom is not None
+        # A keyframe is marginalized DELAY frames later, and its correction is due after a time.
+        marginalized_ns = [estimates[k + DELAY].t_ns for k in range(max(index + 1 - DELAY, 0))]
+        keyframes = sum(t_ns + DELAY * INTERVAL_NS <= estimate.t_ns for t_ns in marginalized_ns)
+        assert len(found.t_ns) == keyframes
+        assert found.t_ns.tolist() == [earlier.t_ns for earlier in estimates[:keyframes]]
+        if keyframes:
+            np.testing.assert_array_equal(found.Ts_map_odom[-1], estimate.T_map_odom)
+            assert found is known or len(found.t_ns) > len(known.t_ns if known else ())
+        known = found
+    # The loops have moved the second lap back, and the first one not by much.
+    last = corrections[-1]
+    assert last is not None
+    moved_m = last.Ts_map_odom[:, 1, 3] + DRIFT_M * (last.t_ns >= SECOND_LAP_NS)
+    assert len(moved_m) > PLACES + 2 and np.abs(moved_m).max() < 0.4 * DRIFT_M
+
+
+def test_the_correction_at_keyframes_after_a_loss(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, estimates = run(monkeypatch, places(range(PLACES)))
+    after = estimates[PLACES:]
+    assert [estimate.track for estimate in estimates] == PLACES * [0] + (PLACES + 1) * [1]
+    before = estimates[PLACES - 1].map_correction
+    assert before is not None and len(before.t_ns) >= 2
+    for estimate in after:
+        found = estimate.map_correction
+        assert found is not None and found.of_track(0, 0) is not None
+        assert (found.of_track(1, estimate.t_ns) is None) == (1 not in (found.track if found.track is not None else ()))
+        np.testing.assert_array_equal(np.isnan(found.at(np.array([estimate.t_ns]))[:, 0, 0]), [1 not in found.track])  # type: ignore[operator]
+    last = after[-1].map_correction
+    assert last is not None and after[-1].T_map_odom is not None
+    T = last.of_track(1, after[-1].t_ns)
+    assert T is not None
+    np.testing.assert_allclose(T, after[-1].T_map_odom, atol=1e-9)
+
+
+def test_the_correction_has_the_stamps_of_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The time of a keyframe is that of the clock of the IMU, from which the cameras' clock may differ."""
+    monkeypatch.setattr(
+        visual_slam, "VisualInertialOdometry", ScriptedOdometry([keyframe(one_camera(), p, 0) for p in range(PLACES)])
+    )
+    slam, offset_ns = (
+        VisualSlam(one_camera(), config=SlamConfig(worker=False, correction_delay=CORRECTION_DELAY)),
+        -7_000_000,
+    )
+    known = [keyframe(one_camera(), place, 0) for place in range(PLACES)]
+    stamps_ns = [each.estimate.t_ns - offset_ns for each in known]
+    estimates = [slam.add_frame(CameraFrame(t, k.keyframe.images)) for t, k in zip(stamps_ns, known, strict=True)]
+    found = estimates[-1].map_correction
+    assert found is not None and len(found.t_ns) >= 3
+    assert found.t_ns.tolist() == stamps_ns[: len(found.t_ns)]
 
 
 def test_a_track_without_known_places_is_not_in_the_map(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,350 @@
+"""The dense map beside poles, behind moving things, around a loop, after a wrong correction, and over ten minutes."""
+
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from dense_map_poles import POLES_M, WIDTHS_M, pole_flight
+from dense_map_runs import (
+    TRUE_SIGMA_M,
+    MapRun,
+    path_in_odometry,
+    slam_estimates,
+    true_estimate,
+    true_estimates,
+    with_source,
+)
+from dense_map_truth import moved_points, random_bearings
+from measuring import Row, opened, text
+
+from dronevio.estimator.mapping import DenseMapConfig, DenseMapper
+from dronevio.eval.metrics.alignment import align
+from dronevio.eval.metrics.association import interpolate
+from dronevio.eval.metrics.clouds import compare_clouds
+from dronevio.eval.metrics.occupancy import are_falsely_free
+from dronevio.models.arrays import Array, Mask
+from dronevio.models.camera import CameraModel
+from dronevio.models.depth import DepthImage, Pinhole
+from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, PlacedSubmap
+from dronevio.models.recordings.scenario_file import world_of
+from dronevio.models.rig import Rig
+from dronevio.models.rotation import inverse_pose, pose_matrix, rotation_z
+from dronevio.models.state import CameraFrame, Estimate
+from dronevio.sim.flight import plant_of, reference_of
+from dronevio.sim.ray_casting import RayCaster, surface_points
+from dronevio.sim.scenario import Scenario
+
+AGES_S = (1.0, 2.0, 5.0, 10.0)
+"""Ages of the traces of moving things [s]."""
+DISTANCES_M = (0.05, 0.1, 0.2)
+
+
+# --- poles
+
+
+def pole_rows(rig: Rig, config: DenseMapConfig) -> list[Row]:
+    """Return a row for each pole: where it is occupied first, and where it is falsely free last."""
+    run = MapRun(DenseMapper(rig, config))
+    ranges, occupied, wrong = [], [], []
+    for frame, estimate in pole_flight(rig):
+        grid = run.mapper.local_map if run.add(frame, estimate) else None
+        if grid is None or estimate.T_odom_imu is None:
+            continue
+        position = estimate.T_odom_imu[:3, 3]
+        heights = position[2] + np.linspace(-0.3, 0.3, 25)
+        columns = [np.stack([*np.broadcast_arrays(*foot[:2], heights)], axis=1) for foot in POLES_M]
+        ranges.append(POLES_M[:, 0] - position[0])
+        occupied.append([float(np.mean(_are_near(grid, column, OCCUPIED))) for column in columns])
+        wrong.append([float(np.mean(are_falsely_free(grid, column))) for column in columns])
+    r, o, w = np.array(ranges), np.array(occupied), np.array(wrong)
+    return [
+        {
+            "pole": f"{100.0 * width:.0f} cm",
+            "half occupied at": f"{text(_largest(r[:, k], o[:, k] >= 0.5), '.2f')} m",
+            "all occupied at": f"{text(_largest(r[:, k], o[:, k] >= 0.95), '.2f')} m",
+            "falsely free within 2 m": f"{100.0 * w[r[:, k] < 2.0, k].mean():.2f} %",
+            "falsely free at last at": f"{text(_smallest(r[:, k], w[:, k] > 0.0), '.2f')} m",
+        }
+        for k, width in enumerate(WIDTHS_M)
+    ]
+
+
+def _are_near(grid: OccupancyGrid, points: Array, state: int) -> Mask:
+    """Return whether a cell within one cell of points (N, 3) has a state, as a mask (N,)."""
+    others = OccupancyGrid(grid.low_m, grid.cell_m, np.where(grid.states == state, UNKNOWN, FREE).astype(np.uint8))
+    inside = np.all((points > grid.low_m + grid.cell_m) & (points < grid.high_m - grid.cell_m), axis=1)
+    return np.asarray(inside & ~are_falsely_free(others, points))
+
+
+def _largest(values: Array, chosen: Mask) -> float:
+    return float(values[chosen].max()) if chosen.any() else np.nan
+
+
+def _smallest(values: Array, chosen: Mask) -> float:
+    return float(values[chosen].min()) if chosen.any() else np.nan
+
+
+# --- moving things
+
+
+def mover_rows(folder: Path, config: DenseMapConfig) -> list[Row]:
+    """Return a row for each age: the share of the cells of moving things that are still occupied, on true poses."""
+    recording, _ = opened(folder, 2)
+    world, seed = world_of(folder)
+    camera, rng = recording.rig.cameras[0], np.random.default_rng(0)
+    caster = RayCaster(world, seed)
+    static = surface_points(world, seed, 0.05).points_m
+    run = MapRun(DenseMapper(recording.rig, config))
+    cell_m = config.cell_m
+    swept: dict[tuple[int, ...], list[float]] = {}  # time of the newest trace in a cell, and of the newest view of it
+    still: dict[float, list[tuple[bool, bool]]] = {age: [] for age in AGES_S}
+    near = _cells(static, cell_m, 2)
+    for frame, estimate in true_estimates(recording):
+        T_world_imu = estimate.T_odom_imu
+        if not run.add(frame, estimate) or T_world_imu is None or run.mapper.local_map is None:
+            continue
+        t_s, T_world_cam = 1e-9 * frame.t_ns, T_world_imu @ camera.T_imu_cam
+        points = moved_points(caster, T_world_cam, random_bearings(camera, rng), t_s, config.range_m)
+        for cell in set(map(tuple, np.floor(points / cell_m).astype(int).tolist())) - near:
+            swept[cell] = [t_s, 0.0]
+        grid, cells = run.mapper.local_map, list(swept)
+        if not cells:
+            continue
+        centres = (np.array(cells) + 0.5) * cell_m
+        for cell, seen in zip(
+            cells, _are_seen(caster, camera.model, T_world_cam, centres, t_s, config.range_m), strict=True
+        ):
+            swept[cell][1] += float(seen)
+        states = grid.at(centres)
+        for cell, state in zip(cells, states.tolist(), strict=True):
+            traced_s, views = swept[cell]
+            for age in AGES_S:
+                if age <= t_s - traced_s < age + 0.11:
+                    still[age].append((state == OCCUPIED, views >= 3.0))
+    rows: list[Row] = []
+    for age, found in still.items():
+        occupied, again = np.array(found, bool).reshape(-1, 2).T
+        rows.append(
+            {
+                "after": f"{age:g} s",
+                "cells": str(len(occupied)),
+                "occupied": f"{100.0 * occupied.mean():.1f} %",
+                "seen 3 times since": str(int(again.sum())),
+                "of these occupied": f"{100.0 * occupied[again].mean():.1f} %",
+            }
+        )
+    return rows
+
+
+def _cells(points: Array, cell_m: float, margin: int) -> set[tuple[int, ...]]:
+    """Return the cells of points (N, 3) and those around them."""
+    cells = np.unique(np.floor(points / cell_m).astype(int), axis=0)
+    steps = range(-margin, margin + 1)
+    around = np.array([(i, j, k) for i in steps for j in steps for k in steps])
+    return set(map(tuple, np.unique((cells[:, None] + around).reshape(-1, 3), axis=0).tolist()))
+
+
+def _are_seen(
+    caster: RayCaster, model: CameraModel, T_world_cam: Array, points: Array, t_s: float, range_m: float
+) -> Array:
+    """Return which points (N, 3) the camera sees through, as a mask (N,): nothing is in front of them or in them."""
+    rays = (points - T_world_cam[:3, 3]) @ T_world_cam[:3, :3]
+    distance = np.linalg.norm(rays, axis=1)
+    pixels = model.project(rays)
+    with np.errstate(invalid="ignore"):
+        size = [model.width - 1.0, model.height - 1.0]
+        inside = (rays[:, 2] > 0.2) & (rays[:, 2] < range_m - 0.5) & np.all((pixels > 0.0) & (pixels < size), axis=1)
+    seen = np.zeros(len(points), bool)
+    if inside.any():
+        ranges = caster.ranges_m(T_world_cam[None], rays[inside] / distance[inside, None], 40.0, t_s)[0]
+        seen[inside] = ranges > distance[inside] + 0.3
+    return seen
+
+
+# --- a loop
+
+
+def loop_rows(folder: Path, config: DenseMapConfig) -> list[Row]:
+    """Return the rows of the map of a flight that bends with its keyframes, and of one that does not."""
+    recording, truth = opened(folder, 2)
+    run, loops = MapRun(DenseMapper(recording.rig, config)), 0
+    for frame, estimate in slam_estimates(recording):
+        run.add(frame, estimate)
+        loops += len(estimate.closed_loops_ns)
+    world, seed = world_of(folder)
+    surface = surface_points(world, seed, 0.04).points_m
+    true, rows = interpolate(truth, np.array(run.t_ns, dtype=np.int64))
+    placed = [submap for submap in run.mapper.submaps if submap.T_map_odom is not None]
+    starts = np.array([submap.anchor_ns for submap in placed])
+    of_frame = np.clip(np.searchsorted(starts, run.t_ns, side="right") - 1, 0, None)
+    result: list[Row] = []
+    for name, Ts in (
+        ("bends", np.array([submap.T_map_odom for submap in placed])),
+        ("does not", np.tile(np.eye(4), (len(placed), 1, 1))),
+    ):
+        path = np.einsum("nij,nj->ni", Ts[of_frame][:, :3, :3], path_in_odometry(run)) + Ts[of_frame][:, :3, 3]
+        found = align(true.p_world_imu, path[rows])
+        clouds = [s.grid.points(OCCUPIED) @ T[:3, :3].T + T[:3, 3] for s, T in zip(placed, Ts, strict=True)]
+        cloud = found.positions(np.concatenate(clouds))
+        scores = compare_clouds(surface, cloud, DISTANCES_M, scored_true=surface[::50])
+        twice = _seen_twice(placed, clouds)
+        errors = np.linalg.norm(found.positions(path[rows]) - true.p_world_imu, axis=1)
+        result.append(
+            {
+                "map": name,
+                "submaps": str(len(placed)),
+                "loops": str(loops),
+                "path RMS": f"{100.0 * np.sqrt((errors**2).mean()):.1f} cm",
+                "accuracy": " ".join(text(100.0 * score.accuracy, ".0f") for score in scores),
+                "first and last submap apart": twice,
+            }
+        )
+    return result
+
+
+def _seen_twice(placed: Sequence[PlacedSubmap], clouds: list[Array]) -> str:
+    """Return how far the surfaces of the last submaps are from those of the first ones where these overlap."""
+    from scipy.spatial import cKDTree
+
+    third = max(1, len(placed) // 4)
+    first, last = np.concatenate(clouds[:third]), np.concatenate(clouds[-third:])
+    distance, _ = cKDTree(first).query(last, distance_upper_bound=0.5)
+    near = distance[np.isfinite(distance)]
+    return f"{100.0 * near.mean():.1f} cm" if len(near) else "–"
+
+
+# --- a correction that is taken back
+
+
+def taken_back(folder: Path, config: DenseMapConfig, frames: int = 200) -> str:
+    """Return whether a map whose correction was wrong for a second equals one whose correction never was."""
+    recording, _ = opened(folder, 2)
+    wrong = pose_matrix(rotation_z(0.3), np.array([2.0, -1.0, 0.2]))
+    grids = []
+    for is_wrong in (False, True):
+        run = MapRun(DenseMapper(recording.rig, config))
+        meanwhile = None
+        for row, (frame, estimate) in enumerate(true_estimates(recording)):
+            if row == frames:
+                break
+            corrected = is_wrong and frames // 2 <= row < frames // 2 + 20
+            run.add(frame, replace(estimate, T_map_odom=wrong) if corrected else estimate)
+            if corrected:
+                meanwhile = run.mapper.fused()
+        grids.append((run.mapper.fused(), meanwhile))
+    (right, _), (back, meanwhile) = grids
+    assert right is not None and back is not None and meanwhile is not None
+    same = right.states.shape == back.states.shape and np.array_equal(right.low_m, back.low_m)
+    differ = int((right.states != back.states).sum()) if same else -1
+    return f"cells that differ after the correction was taken back: {differ}; map meanwhile began at {meanwhile.low_m}"
+
+
+# --- ten minutes
+
+
+@dataclass(frozen=True, eq=False)
+class CastDepth:
+    """True depth by rays through every fourth pixel of an image at half the resolution; a depth source."""
+
+    caster: RayCaster
+    """The world."""
+    camera: Pinhole
+    """Camera of the image."""
+    T_imu_cam: Array
+    """(4, 4) Pose of the camera in the IMU frame."""
+    T_world_odom: Array
+    """(4, 4) Pose of the odometry frame in the world."""
+
+    def depth(self, frame: CameraFrame, estimate: Estimate) -> DepthImage | None:
+        """Return the depth image at the pose of an estimate."""
+        if estimate.state is None:
+            return None
+        rays = self.camera.rays()[2::4, 2::4].reshape(-1, 3).astype(np.float64)
+        lengths = np.linalg.norm(rays, axis=1)
+        T_odom_cam = estimate.state.T_world_imu @ self.T_imu_cam
+        ranges = self.caster.ranges_m((self.T_world_odom @ T_odom_cam)[None], rays / lengths[:, None])[0]
+        z = np.where(np.isfinite(ranges), ranges / lengths, 0.0).reshape(self.camera.height // 4, -1)
+        depth = np.kron(z, np.ones((4, 4))).astype(np.float32)
+        sigma = np.where(depth > 0.0, TRUE_SIGMA_M, 0.0).astype(np.float32)
+        return DepthImage(frame.t_ns, self.camera, T_odom_cam, depth, sigma, np.zeros(depth.shape, np.uint8))
+
+
+STOREY_M = 3.5
+"""Height of a floor above the one below [m]."""
+MINUTES = 10
+_LONG_RATE_HZ = 5.0
+
+
+def long_poses(scenario: Scenario, seconds: float) -> Array:
+    """Return the poses T_world_imu (N, 4, 4) of a planned flight, which is repeated until its time has passed."""
+    reference = reference_of(scenario, plant_of(scenario))
+    every = round(1e9 / _LONG_RATE_HZ / reference.t_ns[1])
+    rows = np.arange(0, len(reference), every)
+    rows = np.resize(rows, int(seconds * _LONG_RATE_HZ))
+    return pose_matrix(rotation_z(reference.yaw_rad[rows]), reference.position_m[rows])
+
+
+def long_rows(scenarios: Sequence[Scenario], rig: Rig, config: DenseMapConfig) -> Iterator[Row]:
+    """Yield a row a minute: cost and size of a map over several floors, each above the one before.
+
+    The camera is level and looks ahead. Depth is cast at 94 × 60 rays and enlarged to half the resolution.
+    """
+    model, R = rig.cameras[0].model, np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    f = 0.5 * model.central_focal_px[0]
+    camera = Pinhole(376, 240, np.array([[f, 0.0, 187.5], [0.0, f, 119.5], [0.0, 0.0, 1.0]]))
+    run, number, image = MapRun(DenseMapper(rig, config)), 0, np.zeros((480, 752), np.uint8)
+    times, start_mb = [], rss_mb()
+    for storey, scenario in enumerate(scenarios):
+        T_odom_world = pose_matrix(np.eye(3), np.array([0.0, 0.0, storey * STOREY_M]))
+        caster = RayCaster(scenario.world, scenario.seed_of_world)
+        source = CastDepth(caster, camera, pose_matrix(R, np.zeros(3)), inverse_pose(T_odom_world))
+        with_source(run.mapper, source)
+        for T_world_imu in long_poses(scenario, 60.0 * MINUTES / len(scenarios)):
+            t_ns = round(1e9 * number / _LONG_RATE_HZ)
+            estimate = true_estimate(t_ns, T_odom_world @ T_world_imu)
+            depth = source.depth(CameraFrame(t_ns, (image, image)), estimate)
+            with_source(run.mapper, _Given(depth))
+            before = time.process_time()
+            run.add(CameraFrame(t_ns, (image, image)), estimate)
+            times.append(time.process_time() - before)
+            number += 1
+            if number % round(60.0 * _LONG_RATE_HZ) == 0:
+                recent = 1e3 * np.array(times[-round(60.0 * _LONG_RATE_HZ) :])
+                yield {
+                    "minute": f"{number / 60.0 / _LONG_RATE_HZ:.0f}",
+                    "floor": str(storey + 1),
+                    "submaps": str(len(run.mapper.submaps)),
+                    "median ms": f"{np.median(recent):.1f}",
+                    "95 % ms": f"{np.percentile(recent, 95):.1f}",
+                    "largest ms": f"{recent.max():.0f}",
+                    "memory": f"{rss_mb() - start_mb:.0f} MB",
+                }
+    before, grid = time.process_time(), run.mapper.fused()
+    fused_s, grown_mb = time.process_time() - before, rss_mb() - start_mb
+    if grid is not None:
+        known_m3 = float((grid.states != UNKNOWN).sum()) * grid.cell_m**3
+        print(
+            f"fused: {known_m3:.0f} m³ known of {grid.states.size * grid.cell_m**3:.0f} m³, in {fused_s:.1f} s,"
+            f" process {grown_mb:.0f} MB larger than at the start",
+            file=sys.stderr,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Given:
+    """A depth source that returns a given image."""
+
+    image: DepthImage | None
+
+    def depth(self, frame: CameraFrame, estimate: Estimate) -> DepthImage | None:
+        """Return the image."""
+        return self.image
+
+
+def rss_mb() -> float:
+    """Return the memory of this process [MB]."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * 4096 / 1e6

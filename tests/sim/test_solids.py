@@ -1,0 +1,64 @@
+"""Solids: what collides is what is seen, planning keeps clear of it, and moving objects collide."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dronevio.models.arrays import Array
+from dronevio.models.rig import euroc_rig
+from dronevio.models.rotation import pose_matrix
+from dronevio.sim.physics.batch_plant import BatchPlant
+from dronevio.sim.physics.plant import QuadrotorPlant
+from dronevio.sim.physics.vehicle_states import VehicleStates
+from dronevio.sim.world import collision_spec, flight_area, illumination_and_movers, solid_space
+
+
+@pytest.mark.parametrize(("world", "seed"), [("room", 0), ("corridor", 1), ("mirror", 1), ("gates", 0)])
+def test_what_collides_is_what_is_seen(world: str, seed: int, script: Callable[[str], Any]) -> None:
+    invisible, unsolid, *_ = script("collision_geometry").measured(world, seed, points=40, rays=32)
+    assert invisible < 0.5 and unsolid < 0.5
+
+
+@pytest.mark.parametrize("world", ["room", "corridor", "forest", "repetitive", "gates"])
+def test_keep_out_boxes_contain_the_solids(world: str) -> None:
+    area, solids = flight_area(world, 1), solid_space(world, 1)
+    points = np.random.default_rng(0).uniform(*area.free_box + [[0, 0, 0.02], [0, 0, 0]], (2000, 3))
+    assert solids.clearance(points).min() > 0.0  # the free box is free of solids, too
+    legs = np.roll(area.route, -1, axis=0) - area.route
+    along = (area.route[:, None] + np.linspace(0.0, 1.0, 60)[:, None] * legs[:, None]).reshape(-1, 3)
+    assert solids.clearance(along).min() >= 0.55  # as far as the keep-out boxes, but for what protrudes from them
+
+
+def in_the_lane() -> Array:
+    """Return where a person of the concourse is after three seconds, at the height of the chest (3,) [m]."""
+    mover = illumination_and_movers("moving", 1)[1][0]
+    return np.asarray(mover.poses(np.array([3.0]))[0, :3, 3] + [0.0, 0.0, 1.2])
+
+
+def test_a_person_runs_into_a_hovering_drone() -> None:
+    movers, rig = illumination_and_movers("moving", 1)[1], euroc_rig()
+    plant = QuadrotorPlant(rig, surroundings=collision_spec("moving", 1), movers=movers)
+    speeds = np.full(4, plant.quadrotor.hover_speed_rad_s)
+    plant.reset(pose_matrix(np.eye(3), in_the_lane()), rotor_speeds_rad_s=speeds)
+    while plant.collision is None and plant.t_ns < 3_100_000_000:
+        plant.advance(plant.t_ns + plant.interval_ns, speeds)
+    assert plant.collision is not None and plant.collision.against.startswith("person_0")
+    assert 2.0 < plant.collision.t_ns * 1e-9 < 3.0
+
+
+def test_vehicles_of_a_batch_meet_movers_at_their_own_times() -> None:
+    movers, rig = illumination_and_movers("moving", 1)[1], euroc_rig()
+    batch = BatchPlant(3, rig, surroundings=collision_spec("moving", 1), movers=movers)
+    speeds = np.full((3, 4), batch.quadrotor.hover_speed_rad_s)
+    states = VehicleStates.at(np.array([in_the_lane(), [0.0, 0.0, 1.5], in_the_lane()]), rotor_speed_rad_s=speeds)
+    batch.reset(np.ones(3, bool), states)
+    hit_s = np.full(3, np.inf)
+    for interval in range(700):
+        if interval == 100:
+            batch.reset(np.array([False, False, True]), states)  # half a second later
+        batch.advance(speeds)
+        hit_s[batch.now.touched & np.isinf(hit_s)] = 0.005 * (interval + 1)
+    assert 2.0 < hit_s[0] < 3.0 and np.isinf(hit_s[1])
+    assert hit_s[2] == pytest.approx(hit_s[0] + 0.5, abs=0.011)
