@@ -170,7 +170,7 @@ def settings_page() -> str:
         " too, and `fly` those of the scenario, whose defaults here are those of the scenario room.",
         "",
     ]
-    for name in ("run", "sfm", "dense", "map"):
+    for name in ("run", "sfm", "dense"):
         lines += [f"## {PROGRAM} {name}", ""]
         for each in listed_settings(*command_named(name)):
             lines += [f"`{each.field.name} = {each.toml}`", f":   {markdown(each.text)}", ""]

@@ -80,7 +80,7 @@ def horizontal_slice(grid: OccupancyGrid, z_m: float, path: Array) -> Markup:
     """Return the layer of cells at a height, with the path (N, 3)."""
     k = int(np.clip(np.floor((z_m - grid.low_m[2]) / grid.cell_m), 0, grid.states.shape[2] - 1))
     title = f"Horizontal slice at z = {z_m:.1f} m"
-    return plot_layer(grid.states[:, :, k], grid.low_m[:2], grid.cell_m, path[:, :2], title, ("x", "y"))
+    return plot_layer(np.asarray(grid.states[:, :, k]), grid.low_m[:2], grid.cell_m, path[:, :2], title, ("x", "y"))
 
 
 def vertical_slice(grid: OccupancyGrid, path: Array) -> Markup:
@@ -91,7 +91,7 @@ def vertical_slice(grid: OccupancyGrid, path: Array) -> Markup:
     k, along = int(np.argmax(counts[across])), 1 - across
     at_m = grid.low_m[across] + (k + 0.5) * grid.cell_m
     title, names = f"Vertical slice at {'xy'[across]} = {at_m:.1f} m", ("xy"[along], "z")
-    layer = grid.states.take(k, axis=across)
+    layer: States = np.take(grid.states, k, axis=across)
     return plot_layer(layer, grid.low_m[[along, 2]], grid.cell_m, path[:, [along, 2]], title, names)
 
 
@@ -112,7 +112,9 @@ def mesh_picture(mesh: Mesh, path: Array, size_px: tuple[int, int] = _PICTURE_PX
     coloured = colours.height_colours(rows[:, 2], float(low[2]), float(high[2])).astype(np.float32)
     line = _dense_line(path, 0.5 * spacing)
     points = np.concatenate([rows[:, :3], line])
-    rgb = np.concatenate([coloured * shade, np.tile(np.float32(colours.rgb(colours.ESTIMATE)), (len(line), 1))])
+    rgb = np.concatenate(
+        [coloured * shade, np.tile(np.array(colours.rgb(colours.ESTIMATE), np.float32), (len(line), 1))]
+    )
     return splat(camera, points, np.round(rgb).astype(np.uint8), spacing)
 
 
