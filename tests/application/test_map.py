@@ -1,6 +1,7 @@
 """``dronevio map`` and ``dv.map`` on seconds of a simulated flight with a stereo pair."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -106,6 +107,16 @@ def test_map_command(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     assert not np.any(grid.at(read_tum(out / "map.tum").p_world_imu) == OCCUPIED)
     assert main(["map", str(recording), "--out", str(out)]) == 2
     assert "--overwrite" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_page_s_examples_run(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "map.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert main(["map", str(recording), "--out", "maps/MH_01_easy", "--no-slam"]) == 0
+    for code in re.findall(r"^```py\n(.*?)^```$", page, re.MULTILINE | re.DOTALL):
+        exec(compile(code.replace('map("MH_01_easy"', f"map({str(recording)!r}"), "map.md", "exec"), {})
+    assert read_ros_map(tmp_path / "slice.yaml").states.any()
 
 
 @pytest.mark.slow
