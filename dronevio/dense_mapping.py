@@ -1,4 +1,4 @@
-"""The dense map of a recording: the estimator runs, its depth images enter the map, and surfaces are made at the end."""
+"""The dense map of a recording: an estimator runs, its depth images enter the map, and surfaces are made at the end."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -110,14 +110,14 @@ def map_recording(
         EvaluationError: The estimator has no pose, or no depth has entered the map.
     """
     config = config or DenseMapConfig()
-    if len(recording.rig.cameras) < 2:
-        raise ConfigError(f"a map of {recording.name} with one camera; expected a stereo pair")
     mapper = DenseMapper(recording.rig, config)
     chosen = VisualSlam(recording.rig) if estimator is None else estimator
     observer = MapObserver(mapper, config.range_m, listeners)
     run = estimate_recording(recording, chosen, progress, (observer, *observers))
     if isinstance(chosen, VisualSlam):
         run = replace(run, map=chosen.final_map())
+        if run.map is not None:
+            mapper.correct(run.map.correction)
     trajectory = require_poses(run, recording)
     kept, occupancy = observer.depths.kept, mapper.fused()
     if occupancy is None or not (occupancy.states == OCCUPIED).any():

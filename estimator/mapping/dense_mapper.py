@@ -1,7 +1,7 @@
 """The dense map of a flight: depth images become a local map and submaps, which the correction by the map places."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from dronevio.estimator.mapping.submap import ActiveSubmap, Anchor, PackedSubmap
 from dronevio.estimator.mapping.submap_store import StoredSubmap, SubmapStore
 from dronevio.models.arrays import Array, Integers
 from dronevio.models.depth import DepthImage
+from dronevio.models.map_correction import MapCorrection
 from dronevio.models.occupancy import DistanceField, OccupancyGrid, PlacedSubmap
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, Health
@@ -140,6 +141,11 @@ class DenseMapper:
         seen = np.all((boxes[:, 0] < high) & (boxes[:, 1] > low), axis=1)
         chosen = ((_loaded(submap), T) for (submap, T), is_seen in zip(joined, seen, strict=True) if is_seen)
         return fused(chosen, low, high, cell_m)
+
+    def correct(self, correction: MapCorrection) -> None:
+        """Place the submaps by another correction than that of the newest estimate, such as that of the final map."""
+        if self._newest is not None:
+            self._newest = replace(self._newest, map_correction=correction)
 
     def close(self) -> None:
         """Delete the files of the map, which otherwise end with this object."""

@@ -1,4 +1,4 @@
-"""Depth images of a flight that are kept for its surfaces: where the camera has moved, and not more than memory allows."""
+"""Depth images of a flight, kept for its surfaces: where the camera has moved, and as many as memory allows."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from dronevio.models.arrays import Array, Image
 from dronevio.models.depth import DepthImage, Pinhole
 from dronevio.models.rotation import log_so3
 
-_DISTANCE_M, _ANGLE_RAD = 0.25, np.radians(12.0)  # motion since the image before, of which one is enough
+_DISTANCE_M, _ANGLE_RAD = 0.1, np.radians(6.0)  # motion since the image before, of which one is enough
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,9 @@ from dronevio.models.arrays import Array, Floats
 from dronevio.models.progress import Progress, silent
 from dronevio.models.surfaces import Mesh, PointCloud
 
-MIN_SUPPORT = 3.0
+MIN_SUPPORT = 2.0
 """Number of depth images, each at the median depth of all, that have to see a voxel with a surface."""
-_MIN_TRIANGLES = 200  # of a connected part of the mesh
+_MIN_TRIANGLES = 100  # of a connected part of the mesh
 _MAX_VOXELS = 20_000_000
 
 

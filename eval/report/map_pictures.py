@@ -80,17 +80,19 @@ def horizontal_slice(grid: OccupancyGrid, z_m: float, path: Array) -> Markup:
     """Return the layer of cells at a height, with the path (N, 3)."""
     k = int(np.clip(np.floor((z_m - grid.low_m[2]) / grid.cell_m), 0, grid.states.shape[2] - 1))
     title = f"Horizontal slice at z = {z_m:.1f} m"
-    return plot_layer(grid.states[:, :, k], grid.low_m[:2], grid.cell_m, path[:, :2], title, ("x", "y"))
+    return plot_layer(np.asarray(grid.states[:, :, k]), grid.low_m[:2], grid.cell_m, path[:, :2], title, ("x", "y"))
 
 
 def vertical_slice(grid: OccupancyGrid, path: Array) -> Markup:
-    """Return the upright layer of cells along the longer side of the map, through the middle of the path (N, 3)."""
-    along = int(np.argmax(grid.states.shape[:2]))
-    across, name = 1 - along, "xy"[along]
-    at_m = float(np.median(path[:, across]))
-    k = int(np.clip(np.floor((at_m - grid.low_m[across]) / grid.cell_m), 0, grid.states.shape[across] - 1))
-    low_m, title = grid.low_m[[along, 2]], f"Vertical slice at {'xy'[across]} = {at_m:.1f} m"
-    return plot_layer(grid.states.take(k, axis=across), low_m, grid.cell_m, path[:, [along, 2]], title, (name, "z"))
+    """Return the upright layer of cells along x or y of which most is known, with the path (N, 3)."""
+    known = grid.states != UNKNOWN
+    counts = [known.sum(axis=(1, 2)), known.sum(axis=(0, 2))]
+    across = int(np.argmax([count.max() for count in counts]))
+    k, along = int(np.argmax(counts[across])), 1 - across
+    at_m = grid.low_m[across] + (k + 0.5) * grid.cell_m
+    title, names = f"Vertical slice at {'xy'[across]} = {at_m:.1f} m", ("xy"[along], "z")
+    layer: States = np.take(grid.states, k, axis=across)
+    return plot_layer(layer, grid.low_m[[along, 2]], grid.cell_m, path[:, [along, 2]], title, names)
 
 
 def mesh_picture(mesh: Mesh, path: Array, size_px: tuple[int, int] = _PICTURE_PX) -> Image:
@@ -110,7 +112,9 @@ def mesh_picture(mesh: Mesh, path: Array, size_px: tuple[int, int] = _PICTURE_PX
     coloured = colours.height_colours(rows[:, 2], float(low[2]), float(high[2])).astype(np.float32)
     line = _dense_line(path, 0.5 * spacing)
     points = np.concatenate([rows[:, :3], line])
-    rgb = np.concatenate([coloured * shade, np.tile(np.float32(colours.rgb(colours.ESTIMATE)), (len(line), 1))])
+    rgb = np.concatenate(
+        [coloured * shade, np.tile(np.array(colours.rgb(colours.ESTIMATE), np.float32), (len(line), 1))]
+    )
     return splat(camera, points, np.round(rgb).astype(np.uint8), spacing)
 
 

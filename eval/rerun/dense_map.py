@@ -40,7 +40,7 @@ SUBMAPS = "world/submaps"
 """Path of the submaps."""
 FINAL = "final"
 """Path of the world frame of the final mesh."""
-_FAR_M = 0.6  # distance of the image plane from the drawn camera
+_FAR_M = 0.3  # distance of the image plane from the drawn camera
 _MIN_HEIGHT_M = 2.5  # between the ends of the colour scale of heights
 
 

@@ -13,6 +13,7 @@ import pytest
 from dronevio.cli import main
 from dronevio.cli.commands.dense import DenseCommand
 from dronevio.cli.commands.estimate import EstimateCommand
+from dronevio.cli.commands.map import MapCommand
 from dronevio.cli.commands.run import RunCommand
 from dronevio.cli.commands.settings import Name, command_named
 from dronevio.cli.commands.sfm import SfmCommand
@@ -20,7 +21,7 @@ from dronevio.cli.flight_options import parse_flight
 from dronevio.cli.imported_settings import field_types
 from dronevio.cli.settings.listing import listed_settings
 from dronevio.cli.settings.named_fields import NamedField, changed, named_fields, settings_of
-from dronevio.cli.settings.option_tables import DENSE, ESTIMATOR, MAP, SFM, OptionTable
+from dronevio.cli.settings.option_tables import DENSE, DENSE_MAP, ESTIMATOR, MAP, SFM, OptionTable
 from dronevio.cli.terminal import parse
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.slam.config import SlamConfig
@@ -35,7 +36,7 @@ GROUPS: tuple[tuple[type, str, OptionTable, int], ...] = (
     (DenseCommand, "dense", DENSE, 10),
 )
 """Command and field of each group of settings with a table of options, and the largest number of options."""
-NEEDED = {EstimateCommand: "recording", SfmCommand: "images", DenseCommand: "scene"}
+NEEDED = {EstimateCommand: "recording", SfmCommand: "images", DenseCommand: "scene", MapCommand: "recording"}
 
 
 def parsed(command: type, *words: str) -> Any:
@@ -110,7 +111,7 @@ def test_the_guide_has_the_tables_of_options() -> None:
     defaults = {each.field.name: each.toml for command in NEEDED for each in listed_settings(command)}
     expected = [
         (prefix + name, f"`{defaults[prefix + name]}`", when)
-        for prefix, table in (("estimator.", ESTIMATOR), ("map.", MAP), ("", SFM), ("", DENSE))
+        for prefix, table in (("estimator.", ESTIMATOR), ("map.", MAP), ("", SFM), ("", DENSE), ("", DENSE_MAP))
         for name, when in table.items()
     ]
     same = "threads"  # of sfm and of dense

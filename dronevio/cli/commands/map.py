@@ -28,11 +28,15 @@ from dronevio.models.ranges import Settings
 
 if TYPE_CHECKING:
     from dronevio.cli.progress import Bars
-    from dronevio.dense_mapping import DenseMap
+    from dronevio.dense_mapping import DenseMap, DepthListener
     from dronevio.estimator.config import VioConfig
+    from dronevio.estimator.mapping.dense_mapper import DenseMapper
     from dronevio.estimator.slam.config import SlamConfig
     from dronevio.eval.report.dense_map import DenseMapFigures
+    from dronevio.eval.rerun.dense_map import DenseMapLog
+    from dronevio.models.depth import DepthImage
     from dronevio.models.recordings.open import StoredRecording
+    from dronevio.models.state import Estimate
 
 BAND_M = 0.3
 """Distance of the ends of the band of heights of the ROS map from the median height of the flight [m]."""
@@ -164,10 +168,7 @@ def _mapped(
             recording,
             command.dense,
             estimator,
-            listeners=[
-                lambda depth, estimate, mapper, log=log: log.depth(depth, estimate, lambda: mapper.submaps)
-                for log in logs
-            ],
+            listeners=[_listener(log) for log in logs],
             progress=bars.bar("mapping"),
             surface_progress=bars.bar("surfaces"),
         )
@@ -178,8 +179,17 @@ def _mapped(
     return _written(command, arguments, recording, mapped, folder, target)
 
 
+def _listener(log: "DenseMapLog") -> "DepthListener":
+    """Return what passes depth images to a log."""
+
+    def listener(depth: "DepthImage", estimate: "Estimate", mapper: "DenseMapper") -> None:
+        log.depth(depth, estimate, lambda: mapper.submaps)
+
+    return listener
+
+
 @contextmanager
-def _viewers(command: MapCommand, recording: "StoredRecording") -> Iterator[list[Any]]:
+def _viewers(command: MapCommand, recording: "StoredRecording") -> Iterator["list[DenseMapLog]"]:
     """Show a live viewer until the context ends, if one is asked for; yield its logs."""
     if not command.live:
         yield []

@@ -10,7 +10,7 @@ import tyro
 from dronevio.cli.terminal import parse
 from dronevio.models.errors import ConfigError
 
-Name = Literal["run", "fly", "estimate", "sfm", "dense"]
+Name = Literal["run", "fly", "estimate", "sfm", "dense", "map"]
 WIDTH = 99
 """Largest number of columns of an explanation."""
 
@@ -57,12 +57,13 @@ def command_named(name: Name) -> tuple[type, dict[str, object]]:
     from dronevio.cli.commands.dense import DenseCommand
     from dronevio.cli.commands.estimate import EstimateCommand
     from dronevio.cli.commands.fly import FlyCommand
+    from dronevio.cli.commands.map import MapCommand
     from dronevio.cli.commands.run import RunCommand
     from dronevio.cli.commands.sfm import SfmCommand
     from dronevio.cli.flight_options import DEFAULT_SCENARIO, FlightOptions
     from dronevio.sim.scenarios import scenario_named
 
     found: dict[str, type] = {"run": RunCommand, "fly": FlyCommand, "estimate": EstimateCommand}
-    found |= {"sfm": SfmCommand, "dense": DenseCommand}
+    found |= {"sfm": SfmCommand, "dense": DenseCommand, "map": MapCommand}
     is_flight = name in ("run", "fly")
     return found[name], {"flight": FlightOptions.of(scenario_named(DEFAULT_SCENARIO))} if is_flight else {}
