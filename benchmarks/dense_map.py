@@ -9,7 +9,8 @@ shifted, so that walls do not lie between cells. Flights are recorded with a ste
 
 ``poles`` flies towards poles of 2, 4 and 8 cm. ``movers`` counts what people and carts leave behind. ``loop`` compares
 the map of a flight that comes back with the same one without the correction of its keyframes. ``taken-back`` compares
-a map after a correction that was wrong for a second with one without it. ``long`` maps two floors in ten minutes, from
+a map after a correction that was wrong for a second with one without it. ``cost`` measures the processor time of each
+stage. ``long`` maps two floors in ten minutes, from
 rays instead of images::
 
     dronevio fly --scenario room-easy --rig euroc-stereo --truth-images depth --out /tmp/maps/room
@@ -18,6 +19,7 @@ rays instead of images::
     python benchmarks/dense_map.py movers /tmp/maps/moving
     python benchmarks/dense_map.py loop /tmp/maps/corridor-lap
     python benchmarks/dense_map.py taken-back /tmp/maps/room
+    python benchmarks/dense_map.py cost /tmp/maps/room
     python benchmarks/dense_map.py long
 """
 
@@ -31,7 +33,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 from dense_map_runs import MapRun, in_world, runs_of
-from dense_map_scenes import DISTANCES_M, long_rows, loop_rows, mover_rows, pole_rows, taken_back
+from dense_map_scenes import DISTANCES_M, cost_rows, long_rows, loop_rows, mover_rows, pole_rows, taken_back
 from dense_map_truth import SeenSpace, seen_space
 from measuring import Row, opened, print_as_made, text
 
@@ -93,6 +95,11 @@ class LoopCommand(_RecordingCommand):
 @dataclass(frozen=True)
 class TakenBackCommand(_RecordingCommand):
     """Compare the map after a wrong correction with the one without it."""
+
+
+@dataclass(frozen=True)
+class CostCommand(_RecordingCommand):
+    """Measure the processor time of the stages of an update."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +195,9 @@ def print_worst(points: Array, wrong: Mask, count: int) -> None:
         print(f"{numbers[row]} falsely free around {0.5 * cubes[row] + 0.25} m", file=sys.stderr)
 
 
-def show(command: WorldsCommand | PolesCommand | MoversCommand | LoopCommand | TakenBackCommand | LongCommand) -> None:
+def show(
+    command: WorldsCommand | PolesCommand | MoversCommand | LoopCommand | TakenBackCommand | CostCommand | LongCommand,
+) -> None:
     """Print the table of a command."""
     if isinstance(command, WorldsCommand):
         print_as_made(row for folder in command.recordings for row in rows_of(folder, command))
@@ -198,6 +207,8 @@ def show(command: WorldsCommand | PolesCommand | MoversCommand | LoopCommand | T
         print_as_made(mover_rows(command.recording, command.dense))
     elif isinstance(command, LoopCommand):
         print_as_made(loop_rows(command.recording, command.dense))
+    elif isinstance(command, CostCommand):
+        print_as_made(cost_rows(command.recording, command.dense))
     elif isinstance(command, TakenBackCommand):
         print(taken_back(command.recording, command.dense))
     else:
@@ -211,6 +222,7 @@ Command = (
     | Annotated[MoversCommand, tyro.conf.subcommand("movers")]
     | Annotated[LoopCommand, tyro.conf.subcommand("loop")]
     | Annotated[TakenBackCommand, tyro.conf.subcommand("taken-back")]
+    | Annotated[CostCommand, tyro.conf.subcommand("cost")]
     | Annotated[LongCommand, tyro.conf.subcommand("long")]
 )
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from dronevio.estimator.mapping import DenseMapConfig, DenseMapper
-from dronevio.estimator.mapping.stereo_depth import StereoDepth
+from dronevio.estimator.mapping.depth_source import DepthSource, depth_source
 from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.eval.metrics.association import interpolate
 from dronevio.models.arrays import Array
@@ -59,7 +59,7 @@ class TrueDepth:
 class SharedDepth:
     """A depth source that matches a frame once for several maps, at the pose of each."""
 
-    def __init__(self, source: StereoDepth) -> None:
+    def __init__(self, source: DepthSource) -> None:
         """Take the source."""
         self._source = source
         self._last: tuple[int, Array, DepthImage] | None = None
@@ -149,7 +149,7 @@ def runs_of(
     Returns:
         Maps of stereo depth on true poses, of stereo depth on estimated poses, and of true depth on true poses.
     """
-    stereo, rig = SharedDepth(StereoDepth(recording.rig)), recording.rig
+    stereo, rig = SharedDepth(depth_source(recording.rig)), recording.rig
     sources = {"true poses": stereo, "estimate": stereo, "true depth": TrueDepth(folder, rig.cameras[0])}
     runs = {name: MapRun(with_source(DenseMapper(rig, config), source)) for name, source in sources.items()}
     assert recording.ground_truth is not None

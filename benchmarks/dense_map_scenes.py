@@ -2,6 +2,7 @@
 
 import sys
 import time
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +22,10 @@ from dense_map_truth import moved_points, random_bearings
 from measuring import Row, opened, text
 
 from dronevio.estimator.mapping import DenseMapConfig, DenseMapper
+from dronevio.estimator.mapping.depth_source import depth_source
+from dronevio.estimator.mapping.evidence import evidence
+from dronevio.estimator.mapping.local_map import LocalMap
+from dronevio.estimator.mapping.submap import ActiveSubmap, Anchor
 from dronevio.eval.metrics.alignment import align
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.clouds import compare_clouds
@@ -242,6 +247,47 @@ def taken_back(folder: Path, config: DenseMapConfig, frames: int = 200) -> str:
     return f"cells that differ after the correction was taken back: {differ}; map meanwhile began at {meanwhile.low_m}"
 
 
+# --- cost
+
+
+def cost_rows(folder: Path, config: DenseMapConfig, frames: int = 100) -> list[Row]:
+    """Return a row for each stage of an update with its processor time, on true poses."""
+    recording, _ = opened(folder, 2)
+    source, local = depth_source(recording.rig), LocalMap(config.cell_m)
+    submap: ActiveSubmap | None = None
+    times: dict[str, list[float]] = defaultdict(list)
+    step = max(1, round(recording.rig.cameras[0].rate_hz / config.rate_hz))
+    for row, (frame, estimate) in enumerate(true_estimates(recording)):
+        if row % step or row < 3 * step:  # the first frames also fill caches
+            continue
+        start = time.process_time()
+        depth = source.depth(frame, estimate)
+        if depth is None:
+            continue
+        position = depth.T_odom_cam[:3, 3]
+        submap = submap or ActiveSubmap(Anchor(0, 0, frame.t_ns), position)
+        marks = [start, time.process_time()]
+        found = evidence(depth, config.cell_m, config.range_m)
+        marks.append(time.process_time())
+        local.centre_on(position)
+        local.add(found)
+        marks.append(time.process_time())
+        submap.add(found, position)
+        marks.append(time.process_time())
+        local.distance_field(unknown_is_obstacle=True)
+        marks.append(time.process_time())
+        for name, elapsed in zip(
+            ("depth", "evidence", "local map", "submap", "distance field"), np.diff(marks), strict=True
+        ):
+            times[name].append(1e3 * float(elapsed))
+        if len(times["depth"]) == frames:
+            break
+    return [
+        {"stage": name, "median ms": f"{np.median(found):.1f}", "95 % ms": f"{np.percentile(found, 95):.1f}"}
+        for name, found in times.items()
+    ]
+
+
 # --- ten minutes
 
 
@@ -326,9 +372,10 @@ def long_rows(scenarios: Sequence[Scenario], rig: Rig, config: DenseMapConfig) -
     fused_s, grown_mb = time.process_time() - before, rss_mb() - start_mb
     if grid is not None:
         known_m3 = float((grid.states != UNKNOWN).sum()) * grid.cell_m**3
+        box_m3, packed_mb = grid.states.size * grid.cell_m**3, run.mapper._store.memory_bytes / 1e6
         print(
-            f"fused: {known_m3:.0f} m³ known of {grid.states.size * grid.cell_m**3:.0f} m³, in {fused_s:.1f} s,"
-            f" process {grown_mb:.0f} MB larger than at the start",
+            f"fused: {known_m3:.0f} m³ known of {box_m3:.0f} m³, in {fused_s:.1f} s; packed submaps {packed_mb:.2f} MB,"
+            f" {1e3 * packed_mb / known_m3:.2f} MB per 1000 m³ known; process {grown_mb:.0f} MB larger than at the start",
             file=sys.stderr,
         )
 
