@@ -33,6 +33,7 @@ from dronevio.eval.metrics.occupancy import are_falsely_free
 from dronevio.models.arrays import Array, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.depth import DepthImage, Pinhole
+from dronevio.models.imu import Times
 from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, PlacedSubmap
 from dronevio.models.recordings.scenario_file import world_of
 from dronevio.models.rig import Rig
@@ -172,12 +173,46 @@ def _are_seen(
 # --- a loop
 
 
-def loop_rows(folder: Path, config: DenseMapConfig) -> list[Row]:
-    """Return the rows of the map of a flight that bends with its keyframes, and of one that does not."""
+DRIFT_SHARE, DRIFT_RAD_M = 0.01, np.radians(0.05)
+"""Drift that is put into the odometry: share of the path, and yaw for each metre [rad/m]."""
+
+
+def drifting(estimate: Estimate, t_ns: Times, path_m: Array) -> Estimate:
+    """Return an estimate whose odometry frame drifts with the path, with the same poses in the map.
+
+    Args:
+        estimate: An estimate of visual SLAM.
+        t_ns: (N,) Times of the path [ns].
+        path_m: (N,) Length of the path until then [m].
+    """
+
+    def drift(at_ns: Times) -> Array:
+        s = np.interp(at_ns, t_ns, path_m)
+        return pose_matrix(rotation_z(DRIFT_RAD_M * s), DRIFT_SHARE * s[:, None] * np.array([0.9, 0.3, 0.3]))
+
+    if estimate.state is None:
+        return estimate
+    D, found = drift(np.array([estimate.t_ns]))[0], estimate.map_correction
+    T_map_odom = None if estimate.T_map_odom is None else np.asarray(estimate.T_map_odom @ inverse_pose(D))
+    if found is not None:
+        found = replace(found, Ts_map_odom=np.asarray(found.Ts_map_odom @ np.linalg.inv(drift(found.t_ns))))
+    state = replace(estimate.state, T_world_imu=np.asarray(D @ estimate.state.T_world_imu))
+    return replace(estimate, state=state, T_map_odom=T_map_odom, map_correction=found)
+
+
+def loop_rows(folder: Path, config: DenseMapConfig, drift: bool = True) -> list[Row]:
+    """Return the rows of the map of a flight that bends with its keyframes, and of one that does not.
+
+    Args:
+        folder: Recording of a flight that comes back.
+        config: Settings of the map.
+        drift: Whether drift is put into the odometry, which is too good in simulated flights to show the difference.
+    """
     recording, truth = opened(folder, 2)
     run, loops = MapRun(DenseMapper(recording.rig, config)), 0
+    path_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(truth.p_world_imu, axis=0), axis=1))])
     for frame, estimate in slam_estimates(recording):
-        run.add(frame, estimate)
+        run.add(frame, drifting(estimate, truth.t_ns, path_m) if drift else estimate)
         loops += len(estimate.closed_loops_ns)
     world, seed = world_of(folder)
     surface = surface_points(world, seed, 0.04).points_m
@@ -375,7 +410,7 @@ def long_rows(scenarios: Sequence[Scenario], rig: Rig, config: DenseMapConfig) -
         box_m3, packed_mb = grid.states.size * grid.cell_m**3, run.mapper._store.memory_bytes / 1e6
         print(
             f"fused: {known_m3:.0f} m³ known of {box_m3:.0f} m³, in {fused_s:.1f} s; packed submaps {packed_mb:.2f} MB,"
-            f" {1e3 * packed_mb / known_m3:.2f} MB per 1000 m³ known; process {grown_mb:.0f} MB larger than at the start",
+            f" {1e3 * packed_mb / known_m3:.2f} MB per 1000 m³ known; process {grown_mb:.0f} MB larger than before",
             file=sys.stderr,
         )
 
