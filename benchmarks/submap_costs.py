@@ -74,21 +74,15 @@ def main() -> None:
     ]
     boxes = np.array([bounds(each.low, each.shape, T, config.cell_m) for each, T in zip(packed, Ts, strict=True)])
     low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
-    for name, a, b in (
-        ("the whole map", low, high),
-        (
-            "8 x 8 x 4 m of it",
-            *((np.array([8.0, 0.0, 1.5]) + sign * np.array([4.0, 4.0, 2.0])) / config.cell_m for sign in (-1.0, 1.0)),
-        ),
-    ):
-        a, b = np.floor(a).astype(np.int64), np.ceil(b).astype(np.int64)
+    middle, half = np.array([8.0, 0.0, 1.5]), np.array([4.0, 4.0, 2.0])
+    window = np.floor(np.stack([middle - half, middle + half]) / config.cell_m).astype(np.int64)
+    for name, (a, b) in (("the whole map", (low, high)), ("8 x 8 x 4 m of it", window)):
         seen = np.all((boxes[:, 0] < b) & (boxes[:, 1] > a), axis=1)
         chosen = [(each, T) for each, T, is_seen in zip(packed, Ts, seen, strict=True) if is_seen]
         start = time.process_time()
         grid = fused(chosen, a, b, config.cell_m)
-        print(
-            f"fusing {name:20} {1e3 * (time.process_time() - start):.0f} ms CPU, {len(chosen)} submaps, {grid.states.shape} cells"
-        )
+        cost_ms = 1e3 * (time.process_time() - start)
+        print(f"fusing {name:20} {cost_ms:.0f} ms CPU, {len(chosen)} submaps, {grid.states.size} cells")
 
 
 if __name__ == "__main__":

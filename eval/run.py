@@ -82,7 +82,7 @@ class EstimatorRun:
     @property
     def final_trajectory(self) -> Trajectory:
         """The valid poses, corrected by the map after the last frame; without velocities. Empty without a map."""
-        return Trajectory.from_states(()) if self.map is None else self.map.correction.applied(self.trajectory)
+        return Trajectory.from_states(()) if self.map is None else self.trajectory.corrected(self.map.correction)
 
     @property
     def real_time_factor(self) -> float | None:

@@ -1,16 +1,13 @@
 """Correction of a trajectory of the odometry by the poses of the keyframes in the map."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.arrays import Array
-from dronevio.models.rotation import exp_so3, log_so3, pose_matrix, quat_wxyz_from_matrix
-
-if TYPE_CHECKING:
-    from dronevio.models.state import Trajectory
+from dronevio.models.rotation import exp_so3, log_so3, pose_matrix
 
 Times = npt.NDArray[np.int64]
 
@@ -70,24 +67,6 @@ class MapCorrection:
             of_track, known = track == number, self.track == number
             Ts[of_track] = _interpolated(self.t_ns[known], self.Ts_map_odom[known], t_ns[of_track])
         return Ts
-
-    def applied(self, trajectory: "Trajectory") -> "Trajectory":
-        """Return a trajectory of the odometry in the map frame.
-
-        Velocities and covariances, which belong to the odometry frame, are left out, and so are the poses of tracks
-        that are not joined with the map.
-        """
-        Ts_map_odom = self.at(trajectory.t_ns)
-        is_known = ~np.isnan(Ts_map_odom[:, 0, 0])
-        trajectory = trajectory[is_known]
-        Ts = Ts_map_odom[is_known] @ trajectory.Ts_world_imu
-        return replace(
-            trajectory,
-            p_world_imu=Ts[:, :3, 3],
-            quat_wxyz=quat_wxyz_from_matrix(Ts[:, :3, :3]),
-            velocity_m_s=None,
-            covariance=None,
-        )
 
 
 def _interpolated(known_ns: Times, Ts: Array, t_ns: Times) -> Array:

@@ -1,7 +1,7 @@
 """Camera frames, navigation states, estimates with their health, and trajectories."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from numbers import Integral
 from typing import Self
@@ -275,6 +275,19 @@ class Trajectory:
     def length_m(self) -> float:
         """Length of the path [m]."""
         return float(np.linalg.norm(np.diff(self.p_world_imu, axis=0), axis=1).sum())
+
+    def corrected(self, correction: MapCorrection) -> Self:
+        """Return a trajectory of the odometry in the map frame.
+
+        Velocities and covariances, which belong to the odometry frame, are left out, and so are the poses of tracks
+        that are not joined with the map.
+        """
+        Ts_map_odom = correction.at(self.t_ns)
+        is_known = ~np.isnan(Ts_map_odom[:, 0, 0])
+        known = self[is_known]
+        Ts = Ts_map_odom[is_known] @ known.Ts_world_imu
+        quat_wxyz = quat_wxyz_from_matrix(Ts[:, :3, :3])
+        return replace(known, p_world_imu=Ts[:, :3, 3], quat_wxyz=quat_wxyz, velocity_m_s=None, covariance=None)
 
     @classmethod
     def from_states(cls, states: Iterable[NavState]) -> Self:

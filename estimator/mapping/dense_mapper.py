@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dronevio.estimator.mapping.config import DenseMapConfig
-from dronevio.estimator.mapping.depth_source import depth_source
+from dronevio.estimator.mapping.depth_source import DepthSource, depth_source
 from dronevio.estimator.mapping.evidence import evidence
 from dronevio.estimator.mapping.local_map import LocalMap
 from dronevio.estimator.mapping.placing import bounds, fused, placed
@@ -49,10 +49,19 @@ class DenseMapper:
         ...         grid = mapper.local_map
     """
 
-    def __init__(self, rig: Rig, config: DenseMapConfig | None = None) -> None:
-        """Begin with an empty map."""
+    def __init__(self, rig: Rig, config: DenseMapConfig | None = None, source: DepthSource | None = None) -> None:
+        """Begin with an empty map.
+
+        Args:
+            rig: The calibration of the cameras.
+            config: Settings.
+            source: Computes depth images; by default from the best stereo pair of the rig.
+
+        Raises:
+            ConfigError: There is no source, and the rig has no stereo pair.
+        """
         self._config = c = config or DenseMapConfig()
-        self._source = depth_source(rig)
+        self._source = source or depth_source(rig)
         self._store = SubmapStore(c.memory_mb)
         self._track: _Track | None = None
         self._newest: Estimate | None = None

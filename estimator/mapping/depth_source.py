@@ -4,6 +4,7 @@ from typing import Protocol
 
 from dronevio.estimator.mapping.rectification import rectified_pair
 from dronevio.estimator.mapping.stereo_depth import StereoDepth
+from dronevio.estimator.mapping.sweep_depth import SweepDepth
 from dronevio.models.depth import DepthImage
 from dronevio.models.errors import ConfigError
 from dronevio.models.rig import Rig
@@ -16,9 +17,9 @@ class DepthSource(Protocol):
     def depth(self, frame: CameraFrame, estimate: Estimate) -> DepthImage | None:
         """Return the depth image that is known with a frame; None if there is none.
 
-        Every frame with its estimate is given, in the order of time. The depth image has the time stamp and the pose
-        of the frame whose depth it is, which may be an earlier one. With a rolling shutter, the pose is that of the
-        middle row.
+        Frames with their estimates are given in the order of time; some may be left out. The depth image has the time
+        stamp and the pose of the frame whose depth it is, which may be an earlier one. With a rolling shutter, the pose
+        is that of the middle row.
 
         Args:
             frame: The frame.
@@ -27,14 +28,12 @@ class DepthSource(Protocol):
 
 
 def depth_source(rig: Rig) -> DepthSource:
-    """Return the source of depth images of a rig: its best stereo pair.
+    """Return the source of depth images of a rig: its best stereo pair, else the motion of its first camera.
 
     Raises:
-        ConfigError: The rig has no camera, or no two cameras that share a view.
+        ConfigError: The rig has no camera.
     """
     if not rig.cameras:
-        raise ConfigError("rig without a camera; expected one or more, whose images have depth")
+        raise ConfigError("rig without a camera; expected one or more, from whose images depth is computed")
     pair = rectified_pair(rig)
-    if pair is None:
-        raise ConfigError(f"rig of {len(rig.cameras)} cameras without a stereo pair; expected two that share a view")
-    return StereoDepth(rig, pair)
+    return SweepDepth(rig) if pair is None else StereoDepth(rig, pair)

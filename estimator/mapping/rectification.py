@@ -1,7 +1,7 @@
 """Rectification of a pair of cameras with any lenses: both images on one plane, whose rows are epipolar lines.
 
-Source: Fusiello, Trucco and Verri, "A compact algorithm for rectification of stereo pairs", MVA 2000, with lenses of any
-model, whose images are sampled at the rays of two pinholes.
+Source: Fusiello, Trucco and Verri, "A compact algorithm for rectification of stereo pairs", MVA 2000, with lenses of
+any model, whose images are sampled at the rays of two pinholes.
 """
 
 import math
@@ -59,7 +59,7 @@ class PinholeMap:
 
 @dataclass(frozen=True, eq=False)
 class Rectification:
-    """A rectified pair: a point at depth z has the disparity f b / z, by which it lies farther left in the right image."""
+    """A rectified pair: a point at depth z lies by its disparity f b / z farther left in the right image."""
 
     left: int
     """Index of the left camera in the rig."""

@@ -1,14 +1,8 @@
-"""Depth from a stereo pair: semi-global matching, and one step of least squares that knows its standard deviation.
+"""Depth from a stereo pair: semi-global matching, a step of least squares, and rejection of what is not certain.
 
 The matcher (Hirschmüller, "Stereo processing by semiglobal matching and mutual information", PAMI 2008) returns the
-disparity d₀ of a pixel to a part of a pixel. With the residual e(x) = L(x) − R(x − d₀) in a window around it, less its
-mean there, and the derivative g of R along the row, less its mean, the disparity of least squares and its variance are
-
-    d = d₀ − Σ g e / Σ g²,    σ² = σ_e² / Σ g² + σ₀²,
-
-(Lucas and Kanade, "An iterative image registration technique", IJCAI 1981), where σ_e is the noise of the images, or
-what the step leaves of the residual if this is more. A disparity is left out where it is not certain enough, where the
-step or the residual is large, and where a near surface hides the view beside it.
+disparity of a pixel to a part of a pixel; `dronevio.estimator.mapping.refinement` improves it, tells its standard
+deviation, and finds the windows at which a depth is not to be trusted.
 """
 
 import math
@@ -18,35 +12,26 @@ import numpy as np
 
 from dronevio.estimator.mapping.camera_pose import delay_s, pose_after
 from dronevio.estimator.mapping.rectification import Rectification
-from dronevio.models.arrays import Floats, Image, Mask
+from dronevio.estimator.mapping.refinement import at_edge, least_squares_step, speckles
+from dronevio.models.arrays import Floats, Image
 from dronevio.models.depth import DepthImage
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate
 
 NEAREST_M = 0.4
 """Smallest depth that is searched [m]."""
-WINDOW_PX = (5, 5)
-"""Width and height of the window of the least-squares step [px]."""
-NOISE_GREY = 2.0
-"""Standard deviation of the difference of two images at a pixel [grey values]."""
-MIN_CORRELATION = 0.8
-"""Smallest correlation of the windows of the two images."""
 FLOOR_PX = 0.13
 """Standard deviation of the disparity by calibration, interpolation and slanted surfaces [px]."""
 MAX_SIGMA_PX = 0.6
 """Largest standard deviation of a disparity that is used [px]."""
 MAX_STEP_PX = 0.6
 """Largest step from the disparity of the matcher [px]."""
-MAX_CHANGE_PX = 0.8
-"""Change of the disparity within a band above which there is an edge [px]."""
-EDGE_PX = 3
-"""Width of the bands on both sides of an edge in which disparities are left out [px]."""
 MAX_SHIFT_PX = 1.0
 """Largest shift between the images by motion between two exposures [px]."""
 MATCH_BLOCK_PX = 5
 _SMALL_PENALTY, _LARGE_PENALTY = 8, 32  # of the matcher, for each pixel of a block
 _UNIQUENESS, _CONSISTENCY_PX = 15, 1
-_SPECKLE_PX, _SPECKLE_RANGE_PX, _SMALLEST_PX = 300, 1, 40
+_SPECKLE_PX, _SPECKLE_RANGE_PX = 300, 1
 _FIXED = 16.0  # the matcher returns sixteenths
 
 
@@ -55,7 +40,8 @@ class StereoDepth:
 
     def __init__(self, rig: Rig, pair: Rectification) -> None:
         """Take a rig and the rectification of two of its cameras."""
-        self._rig, self._pair = rig, pair
+        self._rig = rig
+        self._pair = pair
         nearest = math.ceil(pair.fb / NEAREST_M / 16.0) * 16
         self._disparities = int(np.clip(nearest, 16, max(16, pair.camera.width // 16 * 16)))
         block = MATCH_BLOCK_PX**2
@@ -106,7 +92,7 @@ class StereoDepth:
         """
         right = self._equalised(left, right)
         coarse = self._matched(left, right)
-        known = coarse > 0.0
+        known = (coarse > 0.0) & (coarse < self._disparities - 2)  # what is nearer is matched to the last ones
         step, sigma = self._refined(left, right, coarse)
         disparity = coarse + step
         # A match outside the right image is none
@@ -114,7 +100,7 @@ class StereoDepth:
         known &= self._pair.maps[0].mask & self._pair.maps[1].mask[self._rows.astype(np.int32), u]
         known &= (disparity > 0.0) & (np.abs(step) <= MAX_STEP_PX) & (sigma <= MAX_SIGMA_PX)
         known &= ~at_edge(np.where(known, coarse, np.float32(0.0)), coarse)
-        known &= ~_speckles(np.where(known, disparity, np.float32(0.0)))
+        known &= ~speckles(np.where(known, disparity, np.float32(0.0)))
         sigma = np.sqrt(sigma * sigma + np.float32(FLOOR_PX**2 + shift_px**2))
         zero = np.float32(0.0)
         return np.where(known, disparity, zero), np.where(known, sigma, zero)
@@ -139,18 +125,8 @@ class StereoDepth:
         R = right.astype(np.float32)
         warped = cv2.remap(R, self._columns - disparity, self._rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         L = left.astype(np.float32)
-        g = 0.5 * (_derivative(L) + _derivative(np.asarray(warped)))
-        e = L - warped
-        g_mean, e_mean = _box(g), _box(e)
-        gg = np.maximum(_box(g * g) - g_mean * g_mean, np.float32(1e-3))
-        ge = _box(g * e) - g_mean * e_mean
-        ee = np.maximum(_box(e * e) - e_mean * e_mean - ge * ge / gg, np.float32(0.0))
-        L_mean = _box(L)
-        unlike = ee > np.float32(1.0 - MIN_CORRELATION**2) * (_box(L * L) - L_mean * L_mean)
-        n = np.float32(WINDOW_PX[0] * WINDOW_PX[1])
-        variance = np.maximum(ee * n / (n - np.float32(2.0)), np.float32(NOISE_GREY**2)) / (n * gg)
-        # x − d moves to the left as d grows: R(x − d₀ − s) = R − g s, so that L − R = −g s
-        return -ge / gg, np.where(unlike, np.float32(math.inf), np.sqrt(variance))
+        gradient = np.float32(-0.5) * (_derivative(L) + _derivative(np.asarray(warped)))
+        return least_squares_step(L, np.asarray(warped), gradient)
 
     def _shift_px(self, frame: CameraFrame, estimate: Estimate) -> float:
         """Return how far the right image moves between the two exposures, at the smallest depth of free flight [px]."""
@@ -162,38 +138,7 @@ class StereoDepth:
         return abs(between_s) * (turn + moved) * float(self._pair.camera.K[0, 0])
 
 
-def at_edge(disparity: Floats, matched: Floats) -> Mask:
-    """Return where (H, W) disparities are left out because the depth jumps.
-
-    Windows at an edge see both surfaces, so that the nearer one seems wider than it is, and the farther one is hidden
-    from one camera. What is narrower than the two bands, such as a pole, is kept: to lose it would be worse.
-
-    Args:
-        disparity: (H, W) Disparities that are known, 0 elsewhere.
-        matched: (H, W) Disparities of the matcher, not more than 0 where there is none.
-    """
-    change = np.float32(MAX_CHANGE_PX)
-    square = np.ones((2 * EDGE_PX + 1, 2 * EDGE_PX + 1), np.uint8)
-    farther = cv2.dilate(matched, square) > disparity + change
-    nearer = cv2.erode(np.where(matched > 0.0, matched, np.float32(1e6)), square) < disparity - change
-    kept = cv2.dilate(np.where(farther | nearer, np.float32(0.0), disparity), square)
-    narrow = kept < disparity - change
-    return np.asarray(farther | (nearer & ~narrow))
-
-
-def _speckles(disparity: Floats) -> Mask:
-    """Return where (H, W) disparities are unknown, or belong to small patches that nothing around them supports."""
-    fixed = np.rint(_FIXED * disparity).astype(np.int16)
-    cv2.filterSpeckles(fixed, 0, _SMALLEST_PX, _SPECKLE_RANGE_PX * _FIXED)
-    return np.asarray(fixed == 0)
-
-
 def _derivative(image: Floats) -> Floats:
     """Return the derivative (H, W) along the rows, by central differences."""
     kernel = np.array([[-0.5, 0.0, 0.5]], np.float32)
     return np.asarray(cv2.filter2D(image, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE))
-
-
-def _box(image: Floats) -> Floats:
-    """Return the means (H, W) of the windows."""
-    return np.asarray(cv2.boxFilter(image, cv2.CV_32F, WINDOW_PX, borderType=cv2.BORDER_REPLICATE))

@@ -42,7 +42,7 @@ def test_single_keyframe_corrects_all_times() -> None:
 def test_applied_correction_maps_the_poses(correction: MapCorrection) -> None:
     rng = np.random.default_rng(0)
     odometry = Trajectory(TIMES_NS, rng.normal(size=(3, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)), np.ones((3, 3)))
-    mapped = correction.applied(odometry)
+    mapped = odometry.corrected(correction)
     expected = correction.Ts_map_odom @ odometry.Ts_world_imu
     np.testing.assert_allclose(mapped.Ts_world_imu, expected, atol=1e-12)
     assert mapped.velocity_m_s is None and mapped.covariance is None

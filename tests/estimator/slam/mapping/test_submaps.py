@@ -150,7 +150,7 @@ def test_a_track_without_recognized_places_stays_apart(odometry_flight: "Odometr
     assert graph is not None and len(graph.poses) == SPLIT == len(mapper.keyframes)
     times = np.array([estimate.t_ns for estimate in (*tracks[0], *tracks[1])])
     odometry = Trajectory(times, np.zeros((len(times), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(times), 1)))
-    assert np.array_equal(final.applied(odometry).t_ns, times[:SPLIT])
+    assert np.array_equal(odometry.corrected(final).t_ns, times[:SPLIT])
 
 
 def test_final_correction_has_a_step_between_tracks(odometry_flight: "OdometryFlight", tracks: Tracks) -> None:

@@ -206,7 +206,7 @@ def test_a_track_without_known_places_is_not_in_the_map(monkeypatch: pytest.Monk
     trajectory = Trajectory.from_states(estimate.state for estimate in estimates if estimate.state is not None)
     final = slam.final_map()
     assert final is not None and len(trajectory) == 2 * PLACES
-    np.testing.assert_array_equal(final.correction.applied(trajectory).t_ns, trajectory.t_ns[:PLACES])
+    np.testing.assert_array_equal(trajectory.corrected(final.correction).t_ns, trajectory.t_ns[:PLACES])
 
 
 def test_covariance_before_the_first_correction(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -225,7 +225,7 @@ def test_final_path_has_the_keyframes_at_their_final_poses(monkeypatch: pytest.M
     final = slam.final_map()
     assert final is not None and len(final.closed) >= 2 and final.adjustment == "not used"
     trajectory = Trajectory.from_states(estimate.state for estimate in estimates if estimate.state is not None)
-    found = final.correction.applied(trajectory)
+    found = trajectory.corrected(final.correction)
     at_keyframes = np.isin(found.t_ns, final.t_ns)
     np.testing.assert_allclose(found.p_world_imu[at_keyframes], final.Ts_map_imu[:, :3, 3], atol=1e-9)
 
