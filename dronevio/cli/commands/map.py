@@ -24,7 +24,7 @@ from dronevio.cli.terminal import (
     progress_bars,
 )
 from dronevio.estimator.mapping.config import DenseMapConfig
-from dronevio.models.ranges import Settings
+from dronevio.models.ranges import Range, Settings
 
 if TYPE_CHECKING:
     from dronevio.cli.progress import Bars
@@ -67,7 +67,7 @@ class MapCommand(Settings):
     """Folder to make; by default it is maps/NAME, with a number appended if that exists."""
     slam: bool = True
     """Correct the map by loops, where a place is seen again."""
-    band_m: tuple[float, float] | None = None
+    band_m: Annotated[tuple[float, float] | None, Range(-10_000.0, 10_000.0)] = None
     """Lowest and highest z of the cells that the map of ROS combines [m]; by default 0.3 m below to 0.3 m above the
     median height of the flight."""
     live: bool = False
