@@ -409,14 +409,8 @@ def long_rows(scenarios: Sequence[Scenario], rig: Rig, config: DenseMapConfig) -
         known_m3 = float((grid.states != UNKNOWN).sum()) * grid.cell_m**3
         box_m3, packed_mb = grid.states.size * grid.cell_m**3, run.mapper._store.memory_bytes / 1e6
         print(
-<<<<<<< HEAD
             f"fused: {known_m3:.0f} m³ known of {box_m3:.0f} m³, in {fused_s:.1f} s; packed submaps {packed_mb:.2f} MB,"
             f" {1e3 * packed_mb / known_m3:.2f} MB per 1000 m³ known; process {grown_mb:.0f} MB larger than before",
-=======
-            f"fused: {known_m3:.0f} m³ known of {box_m3:.0f} m³, in {fused_s:.1f} s; packed submaps {packed_mb:.2f}"
-            f" MB, {1e3 * packed_mb / known_m3:.2f} MB per 1000 m³ known;"
-            f" process {grown_mb:.0f} MB larger than at the start",
->>>>>>> main
             file=sys.stderr,
         )
 
