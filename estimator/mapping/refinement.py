@@ -24,7 +24,9 @@ NOISE_GREY = 2.0
 MIN_CORRELATION = 0.8
 """Smallest correlation of the windows of the two images."""
 MAX_CHANGE_PX = 0.8
-"""Change of the disparity within a band above which there is an edge [px]."""
+"""Change of the disparity within a band, beyond that of a slanted surface, above which there is an edge [px]."""
+MAX_SLOPE = 0.6
+"""Largest change of the disparity from pixel to pixel on a surface [px]."""
 EDGE_PX = 3
 """Width of the bands on both sides of an edge in which disparities are left out [px]."""
 SMALLEST_PX = 40
@@ -64,13 +66,24 @@ def at_edge(disparity: Floats, matched: Floats) -> Mask:
         disparity: (H, W) Disparities that are known, 0 elsewhere [px].
         matched: (H, W) Disparities of the matcher, not more than 0 where there is none [px].
     """
-    change = np.float32(MAX_CHANGE_PX)
+    change = np.float32(MAX_CHANGE_PX) + np.float32(EDGE_PX) * _slope(matched)
     square = np.ones((2 * EDGE_PX + 1, 2 * EDGE_PX + 1), np.uint8)
     farther = cv2.dilate(matched, square) > disparity + change
     nearer = cv2.erode(np.where(matched > 0.0, matched, np.float32(1e6)), square) < disparity - change
     kept = cv2.dilate(np.where(farther | nearer, np.float32(0.0), disparity), square)
     is_narrow = kept < disparity - change
     return np.asarray(farther | (nearer & ~is_narrow))
+
+
+def _slope(matched: Floats) -> Floats:
+    """Return the slope (H, W) of the surface at each pixel: medians of the differences along rows and columns."""
+    slope = np.zeros_like(matched)
+    for before, after in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        difference = np.zeros_like(matched)
+        both = (matched[before] > 0.0) & (matched[after] > 0.0)
+        difference[before] = np.where(both, np.abs(matched[after] - matched[before]), np.float32(0.0))
+        slope += cv2.medianBlur(difference, 5)
+    return np.minimum(slope, np.float32(MAX_SLOPE))
 
 
 def speckles(disparity: Floats) -> Mask:

@@ -259,6 +259,16 @@ def test_edges_are_cut_on_both_sides_but_poles_stay() -> None:
     assert np.flatnonzero(cut).tolist() == [*range(15 - k, 15), *range(18, 18 + k), *range(40 - k, 40 + k)]
 
 
+def test_a_slanted_surface_is_no_edge() -> None:
+    """A near slanted surface is kept up to its edge, where it ends before a background."""
+    u, v = np.meshgrid(np.arange(60.0, dtype=np.float32), np.arange(40.0, dtype=np.float32))
+    surface = np.float32(20.0) + np.float32(0.2) * u + np.float32(0.3) * v
+    assert not refinement.at_edge(surface, surface)[3:-3, 3:-3].any()
+    ended = np.where(u < 30.0, surface, np.float32(5.0)).astype(np.float32)
+    k = refinement.EDGE_PX
+    assert np.flatnonzero(refinement.at_edge(ended, ended)[20]).tolist() == list(range(30 - k, 30 + k))
+
+
 def test_small_patches_are_speckles() -> None:
     """A patch that nothing supports is left out."""
     disparity = np.full((40, 40), 5.0, np.float32)
