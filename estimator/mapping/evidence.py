@@ -122,9 +122,8 @@ def _free_to(depth: DepthImage, far_m: float) -> Values:
     free_to = cv2.addWeighted(depth.depth_m, steps, depth.sigma_m, -FREE_SIGMAS * steps, 0.0, dtype=cv2.CV_16U)
     is_known = depth.known.view(np.uint8)
     around = cv2.erode(free_to - (is_known == 0), np.ones((HOLE_PX, HOLE_PX), np.uint8))  # 0 - 1 is the largest value
-    for line in _LINES:
-        around *= cv2.morphologyEx(is_known, cv2.MORPH_CLOSE, line)
-    return np.asarray(np.where(depth.known, free_to, around))
+    in_small = np.bitwise_and.reduce([cv2.morphologyEx(is_known, cv2.MORPH_CLOSE, line) for line in _LINES])
+    return np.asarray(np.where(depth.known, free_to, around * in_small), np.uint16)
 
 
 def _cells_in_view(
@@ -213,11 +212,9 @@ def _nearest_of_blocks(depth: DepthImage, least_px: float) -> tuple[Floats, Floa
     """
     values, sigma, block = np.where(depth.known, depth.depth_m, np.float32(np.inf)), depth.sigma_m, 1
     while 2 * block <= least_px:
-        for axis in (0, 1):
-            length = values.shape[axis] // 2 * 2
-            first, second = (np.take(values, range(begin, length, 2), axis) for begin in (0, 1))
-            nearer = first <= second
-            sigmas = (np.take(sigma, range(begin, length, 2), axis) for begin in (0, 1))
-            values, sigma = np.where(nearer, first, second), np.where(nearer, *sigmas)
+        for _ in range(2):  # along the rows, then along the columns
+            even = values.shape[0] // 2 * 2
+            nearer = values[0:even:2] <= values[1:even:2]
+            values, sigma = (np.where(nearer, a[0:even:2], a[1:even:2]).T for a in (values, sigma))
         block *= 2
     return values, sigma, block
