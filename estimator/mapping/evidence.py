@@ -1,13 +1,15 @@
 """Evidence of a depth image about the cells of a lattice: log-odds of being occupied.
 
 A cell is free if all of it lies in front of the nearest depth that any pixel of its footprint in the image can have;
-a pixel of unknown depth may have any. It is occupied if the point of a pixel lies in it. Behind surfaces nothing is
-known.
+a pixel of unknown depth may have any, unless it lies in a small hole, which has the nearest of the depths around it. A
+cell is occupied if the point of a pixel lies in it. Behind surfaces nothing is known.
 """
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
+import numpy.typing as npt
 
 from dronevio.estimator.mapping.nearest_depth import NearestDepths, Pixels, Values
 from dronevio.models.arrays import Array, Floats, Integers
@@ -21,8 +23,23 @@ FREE_SIGMAS = 2.0
 """Standard deviations in front of a depth of which nothing is said."""
 FULL_BLOCKS = 3.0
 """Number of blocks of pixels whose points in a cell are full evidence that it is occupied."""
+HOLE_PX = 21
+"""Length of holes in the depth that may hide a thing; an odd number [px]."""
 _STEPS = 65535.0
 """Steps of the quantized depths."""
+
+
+def _line(column: float, row: float) -> npt.NDArray[np.uint8]:
+    """Return the pixels of a line of `HOLE_PX` through the middle of a square, with steps of at most a pixel."""
+    half = HOLE_PX // 2
+    steps = np.arange(-half, half + 1)
+    line = np.zeros((HOLE_PX, HOLE_PX), np.uint8)
+    line[half + np.rint(row * steps).astype(int), half + np.rint(column * steps).astype(int)] = 1
+    return line
+
+
+_LINES = [_line(*steps) for steps in ((1, 0), (1, 0.5), (1, 1), (0.5, 1), (0, 1), (-0.5, 1), (-1, 1), (-1, 0.5))]
+"""Lines in eight directions, so that a stripe of a quarter of `HOLE_PX` is found at any angle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,9 +113,17 @@ def _add_free(
 
 
 def _free_to(depth: DepthImage, far_m: float) -> Values:
-    """Return up to which depth each pixel is free (H, W), in steps of ``far_m`` / 65535; 0 where it is unknown."""
-    free_to = (depth.depth_m - FREE_SIGMAS * depth.sigma_m) * (_STEPS / far_m)
-    return np.clip(free_to, 0.0, _STEPS).astype(np.uint16)
+    """Return up to which depth each pixel is free (H, W), in steps of ``far_m`` / 65535; 0 where it is unknown.
+
+    Matchers reject single pixels of smooth surfaces, and all pixels along thin things such as poles. A pixel of unknown
+    depth is therefore as near as its surroundings if no line through it is unknown for `HOLE_PX`, otherwise unknown.
+    """
+    steps = _STEPS / far_m
+    free_to = cv2.addWeighted(depth.depth_m, steps, depth.sigma_m, -FREE_SIGMAS * steps, 0.0, dtype=cv2.CV_16U)
+    is_known = depth.known.view(np.uint8)
+    around = cv2.erode(free_to - (is_known == 0), np.ones((HOLE_PX, HOLE_PX), np.uint8))  # 0 - 1 is the largest value
+    in_small = np.bitwise_and.reduce([cv2.morphologyEx(is_known, cv2.MORPH_CLOSE, line) for line in _LINES])
+    return np.asarray(np.where(depth.known, free_to, around * in_small), np.uint16)
 
 
 def _cells_in_view(
@@ -187,11 +212,9 @@ def _nearest_of_blocks(depth: DepthImage, least_px: float) -> tuple[Floats, Floa
     """
     values, sigma, block = np.where(depth.known, depth.depth_m, np.float32(np.inf)), depth.sigma_m, 1
     while 2 * block <= least_px:
-        for axis in (0, 1):
-            length = values.shape[axis] // 2 * 2
-            first, second = (np.take(values, range(begin, length, 2), axis) for begin in (0, 1))
-            nearer = first <= second
-            sigmas = (np.take(sigma, range(begin, length, 2), axis) for begin in (0, 1))
-            values, sigma = np.where(nearer, first, second), np.where(nearer, *sigmas)
+        for _ in range(2):  # along the rows, then along the columns
+            even = values.shape[0] // 2 * 2
+            nearer = values[0:even:2] <= values[1:even:2]
+            values, sigma = (np.where(nearer, a[0:even:2], a[1:even:2]).T for a in (values, sigma))
         block *= 2
     return values, sigma, block
