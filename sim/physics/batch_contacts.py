@@ -30,6 +30,7 @@ class BatchContacts:
             nthread: Number of threads; 0 means one for each processor.
         """
         spec = spec.copy()
+        spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)  # moving objects do not wake what is asleep
         geoms = [geom for geom in spec.body("quadrotor").geoms if geom.group == COLLISION_GROUP]
         for geom in geoms:
             spec.add_sensor(
@@ -40,24 +41,27 @@ class BatchContacts:
                 intprm=[_FOUND_AND_NORMAL, 0, _SLOTS],
             )
         self._foot = np.array([geom.name.startswith(FEET) for geom in geoms])
-        self._batch = Batch(spec.compile(), count, nthread, persistent=True)
+        self.model = spec.compile()
+        """The model, with moving objects."""
+        self._batch = Batch(self.model, count, nthread)
         self._pose = self._batch.bind("qpos")
-        self._mocap_position, self._mocap_quat = self._batch.bind("mocap_pos"), self._batch.bind("mocap_quat")
+        self._moving = self._batch.bind("mocap_pos"), self._batch.bind("mocap_quat")
         self._sensed = self._batch.bind("sensordata")
 
     def detect(
-        self, rows: npt.NDArray[np.intp], pose: Array, mocap_position: Array, mocap_quat: Array
+        self, rows: npt.NDArray[np.intp], pose: Array, moving: tuple[Array, Array] | None = None
     ) -> npt.NDArray[np.bool_]:
         """Return which of k simulations collide (k,).
 
         Args:
             rows: (k,) Indices of the simulations.
             pose: (k, 7) Positions and orientations of the vehicle.
-            mocap_position: (k, M, 3) Positions of the moving objects.
-            mocap_quat: (k, M, 4) Orientations of the moving objects.
+            moving: Positions (k, M, 3) [m] and quaternions (k, M, 4) of the moving objects, if there are any.
         """
         self._pose[rows] = pose
-        self._mocap_position[rows], self._mocap_quat[rows] = mocap_position, mocap_quat
+        if moving is not None:
+            for bound, values in zip(self._moving, moving, strict=True):
+                bound[rows] = values.reshape(len(rows), *bound.shape[1:])
         self._batch.forward(rows, stage=mujoco.mjtStage.mjSTAGE_POS)
         sensed = self._sensed[rows].reshape(len(rows), len(self._foot), _SLOTS, 4)
         standing = stands(self._foot[:, None], sensed[..., 3])

@@ -66,7 +66,7 @@ class BatchPlant:
             quadrotor: The vehicle type; the research quadrotor of 1.5 kg by default.
             step_s: Time step of the physics [s]; at most half the IMU interval, of which it is a fraction.
             surroundings: Specification of a world, whose geoms of group 3 are solid; only a floor by default.
-            movers: All moving objects of the world.
+            movers: All moving objects of the world; a vehicle that meets one has collided, but is not pushed.
             ground_m: Height of the ground of the ground effect [m].
             imu: Whether IMU samples are computed.
             rng: Generator of the gusts; a fixed seed by default.
@@ -192,14 +192,13 @@ class BatchPlant:
         rotors = model.steady_state(states.rotor_speed_rad_s, states.battery_charge)
         motion = self._simulation.motion(rows)
         wrench = model.wrench(rotors, self._airflow(motion, rows))
-        self._simulation.place_movers(rows, np.zeros(rows.size))
-        flown = self._simulation.run(rows, motion, wrench, nothing, nothing)
+        elapsed = np.zeros(rows.size, dtype=np.int64)
+        flown = self._simulation.run(rows, motion, wrench, nothing, nothing, elapsed)
         between, samples = np.zeros((3, rows.size)), self.now.samples.rows(rows)
         if flown.middle is not None:
             before = extrapolated_back(flown.start, flown.middle)  # to before t = 0
             between = velocities_of(self.rig.T_vehicle_imu[:3, 3], before, self._step_s)
             between, samples = self._sample(flown.start, between, flown.middle)
-        elapsed = np.zeros(rows.size, dtype=np.int64)
         placed = PlantState(own, rotors, elapsed, flown.touched, flown.diverged, flown.start, between, samples)
         self.now = self.now.with_vehicles(rows, placed)
         if parameters is not None:
@@ -215,8 +214,7 @@ class BatchPlant:
         rotors = self._rotors.step(now.rotors, commands, self.interval_s)
         motion = self._simulation.motion(_ALL)
         wrench = self._rotors.wrench(rotors, self._airflow(motion, _ALL))
-        self._simulation.place_movers(_ALL, np.asarray((now.elapsed + 1) * self.interval_s, np.float64))
-        flown = self._simulation.run(_ALL, motion, wrench, now.touched, diverged)
+        flown = self._simulation.run(_ALL, motion, wrench, now.touched, diverged, now.elapsed + 1)
         between, samples = now.velocity_between, now.samples
         if flown.middle is not None:
             between, samples = self._sample(flown.start, between, flown.middle)

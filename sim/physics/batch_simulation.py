@@ -11,8 +11,9 @@ from mujoco.batch import Batch
 from dronevio.models.arrays import Array, Mask
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.sim.physics.batch_contacts import BatchContacts
-from dronevio.sim.physics.collisions import Moving, mocap_poses
+from dronevio.sim.physics.collisions import Moving
 from dronevio.sim.physics.motion import middle_of_interval
+from dronevio.sim.physics.mover_table import MoverTable
 from dronevio.sim.physics.vehicle_states import Rows, VehicleParameters, VehicleStates
 
 Indices = npt.NDArray[np.intp]
@@ -38,7 +39,11 @@ class Interval:
 
 
 class BatchSimulation:
-    """n simulations of a vehicle, which advance by IMU intervals; k of them may be selected by rows."""
+    """n simulations of a vehicle, which advance by IMU intervals; k of them may be selected by rows.
+
+    Moving objects are not part of the physics: a contact is found at the end of an interval for the vehicles that are
+    near one, and does not push them.
+    """
 
     def __init__(
         self,
@@ -59,17 +64,19 @@ class BatchSimulation:
             nthread: Number of threads; 0 means one for each processor.
             movers: All moving objects of the model.
         """
-        self._model = model = spec.compile()
-        self._movers = movers
+        self._detector = BatchContacts(spec, count, nthread)
+        self._movers = MoverTable(self._detector.model, movers, substeps * spec.option.timestep) if movers else None
+        spec = spec.copy()
+        for mover in movers:
+            spec.delete(spec.body(mover.body))
+        model = spec.compile()
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self._body = model.body("quadrotor").id
         self._batch = Batch(model, count, nthread, persistent=True)
         self._pose, self._twist = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._control, self._contacts = self._batch.bind("ctrl"), self._batch.bind("ncon")
-        self._mocap_position, self._mocap_quat = self._batch.bind("mocap_pos"), self._batch.bind("mocap_quat")
         self._masses, self._inertias = self._batch.expand("body_mass"), self._batch.expand("body_inertia")
         self._batch.set_const()
-        self._detector = BatchContacts(spec, count, nthread)
         self._substeps = substeps
         self._record = np.zeros((count, substeps, 13)) if recorded else None
 
@@ -97,18 +104,13 @@ class BatchSimulation:
         self._twist[rows, :3] = states.velocity_m_s
         self._twist[rows, 3:] = states.rate_rad_s
 
-    def place_movers(self, rows: Rows, t_s: Array) -> None:
-        """Move the moving objects of k simulations to their poses at times (k,) [s]."""
-        if self._movers:
-            positions, quats = mocap_poses(self._model, self._movers, t_s)
-            self._mocap_position[rows] = positions.reshape(len(t_s), *self._mocap_position.shape[1:])
-            self._mocap_quat[rows] = quats.reshape(len(t_s), *self._mocap_quat.shape[1:])
-
     def motion(self, rows: Rows) -> Array:
         """Return the motion (13, k) of the physics."""
         return np.concatenate([self._pose[rows].T, self._twist[rows].T])
 
-    def run(self, rows: Rows, start: Array, wrench: Array, touched: Mask, diverged: Mask) -> Interval:
+    def run(
+        self, rows: Rows, start: Array, wrench: Array, touched: Mask, diverged: Mask, number: npt.NDArray[np.int64]
+    ) -> Interval:
         """Run k simulations for an interval. A diverging vehicle is held at its pose at the start.
 
         Args:
@@ -117,10 +119,11 @@ class BatchSimulation:
             wrench: (k, 6) Constant forces [N] and torques [N m].
             touched: (k,) Which vehicles have collided before.
             diverged: (k,) Which simulations have diverged before.
+            number: (k,) Number of intervals before this one in each episode.
         """
         self._control[rows] = wrench
         middle = self._stepped(None if isinstance(rows, slice) else rows)
-        touched = self._touching(rows, touched)
+        touched = self._touching(rows, touched, number)
         stopped = self._diverging(rows, diverged)
         if stopped.size:
             diverged, start = diverged.copy(), start.copy()
@@ -143,19 +146,19 @@ class BatchSimulation:
         half = substeps // 2
         return middle_of_interval(np.array(record[:, half - 1].T, order="C"), record[:, half].T, substeps)
 
-    def _touching(self, rows: Rows, touched: Mask) -> Mask:
+    def _touching(self, rows: Rows, touched: Mask, number: npt.NDArray[np.int64]) -> Mask:
         """Return which of k vehicles have collided, given those (k,) that had before."""
-        candidates = np.flatnonzero((self._contacts[rows] > 0) & ~touched)
+        near = self._contacts[rows] > 0
+        if self._movers is not None:
+            near |= self._movers.near(number, self._pose[rows, :3])
+        candidates = np.flatnonzero(near & ~touched)
         if not candidates.size:
             return touched
         indices, touched = self._indices(rows)[candidates], touched.copy()
         finite = np.isfinite(self._pose[indices]).all(axis=1)
-        touched[candidates[finite]] = self._detector.detect(
-            indices[finite],
-            self._pose[indices[finite]],
-            self._mocap_position[indices[finite]],
-            self._mocap_quat[indices[finite]],
-        )
+        candidates, indices = candidates[finite], indices[finite]
+        moving = None if self._movers is None else self._movers.at(number[candidates])
+        touched[candidates] = self._detector.detect(indices, self._pose[indices], moving)
         return touched
 
     def _diverging(self, rows: Rows, diverged: Mask) -> Indices:

@@ -1,6 +1,6 @@
 """Collision geometry of a world, and detection of contacts other than those of the feet with the ground."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.arrays import Array
-from dronevio.models.rotation import quat_wxyz_from_matrix
 
 COLLISION_GROUP = 3
 """Group of the collision geoms; MuJoCo's viewers hide it by default."""
@@ -70,14 +69,6 @@ def add_collision_geoms(spec: mujoco.MjSpec, surroundings: mujoco.MjSpec) -> Non
             copy = to.add_geom(**{name: getattr(geom, name) for name in _COPIED})
             for name in _COPIED_TURN:
                 setattr(copy.alt, name, getattr(geom.alt, name))
-
-
-def mocap_poses(model: mujoco.MjModel, movers: Sequence[Moving], t_s: Array) -> tuple[Array, Array]:
-    """Return positions (M, K, 3) [m] and quaternions (M, K, 4) of the K mocap bodies of a model at times (M,) [s]."""
-    Ts = np.empty((len(t_s), model.nmocap, 4, 4))
-    for mover in movers:
-        Ts[:, model.body(mover.body).mocapid[0]] = mover.poses(t_s)
-    return Ts[..., :3, 3], quat_wxyz_from_matrix(Ts[..., :3, :3])
 
 
 def stands(is_foot: npt.NDArray[np.bool_], normal_z: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:

@@ -200,7 +200,7 @@ class QuadrotorPlant:
         Returns:
             The motion (13,) in the middle of the interval.
         """
-        middle = self._simulation.run(self._rotors.wrench(self._state, self._airflow(motion)), t_ns)
+        middle = self._simulation.run(self._rotors.wrench(self._state, self._airflow(motion)), t_ns // self.interval_ns)
         touching = self._simulation.touching()
         if touching is not None and self._collision is None:
             self._collision = Collision(t_ns + self.interval_ns, *touching, float(np.linalg.norm(motion[7:10])))

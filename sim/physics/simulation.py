@@ -7,8 +7,9 @@ import numpy as np
 
 from dronevio.models.arrays import Array
 from dronevio.models.rotation import quat_wxyz_from_matrix
-from dronevio.sim.physics.collisions import CollisionDetector, Moving, mocap_poses
+from dronevio.sim.physics.collisions import CollisionDetector, Moving
 from dronevio.sim.physics.motion import Motion, extrapolated_back, middle_of_interval
+from dronevio.sim.physics.mover_table import MoverTable
 
 
 class Simulation:
@@ -16,7 +17,7 @@ class Simulation:
 
     def __init__(self, model: mujoco.MjModel, substeps: int, movers: Sequence[Moving] = ()) -> None:
         """Take the model, the number of time steps of an IMU interval, and all moving objects of the model."""
-        self._movers = movers
+        self._movers = MoverTable(model, movers, substeps * model.opt.timestep) if movers else None
         self._model, self._substeps = model, substeps
         self._data = mujoco.MjData(model)
         self._collision_detector = CollisionDetector(model)
@@ -37,15 +38,15 @@ class Simulation:
         """Return the motion (13,) of the physics: pose and twist."""
         return np.concatenate([self._data.qpos, self._data.qvel])
 
-    def run(self, wrench: Array, t_ns: int) -> Array:
-        """Run the physics for the interval that starts at a time [ns] with a constant wrench (6,).
+    def run(self, wrench: Array, number: int) -> Array:
+        """Run the physics for an interval, after a number of others, with a constant wrench (6,).
 
         Returns:
             The motion (13,) in the middle of the interval.
         """
         model, data = self._model, self._data
-        if self._movers:
-            positions, quats = mocap_poses(model, self._movers, np.array([t_ns * 1e-9]))
+        if self._movers is not None:
+            positions, quats = self._movers.at(np.array([number]))
             data.mocap_pos[:], data.mocap_quat[:] = positions[0], quats[0]
         data.ctrl[:] = wrench
         half = self._substeps // 2

@@ -3,14 +3,18 @@
 from collections.abc import Callable
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
 from dronevio.models.arrays import Array
+from dronevio.models.quadrotor import RESEARCH
 from dronevio.models.rig import euroc_rig
-from dronevio.models.rotation import pose_matrix
+from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix
 from dronevio.sim.physics.batch_plant import BatchPlant
+from dronevio.sim.physics.mover_table import MoverTable
 from dronevio.sim.physics.plant import QuadrotorPlant
+from dronevio.sim.physics.vehicle import physics_model
 from dronevio.sim.physics.vehicle_states import VehicleStates
 from dronevio.sim.world import collision_spec, flight_area, illumination_and_movers, solid_space
 
@@ -62,3 +66,23 @@ def test_vehicles_of_a_batch_meet_movers_at_their_own_times() -> None:
         hit_s[batch.now.touched & np.isinf(hit_s)] = 0.005 * (interval + 1)
     assert 2.0 < hit_s[0] < 3.0 and np.isinf(hit_s[1])
     assert hit_s[2] == pytest.approx(hit_s[0] + 0.5, abs=0.011)
+
+
+def test_tabulated_poses_are_those_of_the_movers_and_near_is_not_missed() -> None:
+    movers = illumination_and_movers("moving", 1)[1]
+    model = physics_model(RESEARCH, euroc_rig(), 1e-3, collision_spec("moving", 1))
+    table, interval = MoverTable(model, movers, 0.005), np.array([0, 1023, 1024, 70_000])  # in several blocks
+    positions, quats = table.at(interval)
+    data = mujoco.MjData(model)
+    for row, number in enumerate(interval):
+        for mover in movers:
+            expected, place = mover.poses(np.array([0.005 * number]))[0], model.body(mover.body).mocapid[0]
+            assert positions[row, place] == pytest.approx(expected[:3, 3])
+            assert matrix_from_quat_wxyz(quats[row, place]) == pytest.approx(expected[:3, :3])
+        data.mocap_pos[:], data.mocap_quat[:] = positions[row], quats[row]
+        for point in np.random.default_rng(row).uniform([-7.0, -5.5, 0.5], [7.0, 5.5, 3.0], (150, 3)):
+            data.qpos[:3] = point
+            mujoco.mj_forward(model, data)
+            touching = model.geom_bodyid[data.contact.geom].min(axis=1) > 0  # the vehicle is the first body
+            assert table.near(interval[[row]], point[None])[0] or not touching.any()
+    assert not table.near(interval[:1], np.array([[0.0, 0.0, 1.5]]))[0]
