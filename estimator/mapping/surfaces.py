@@ -16,7 +16,8 @@ from dronevio.models.progress import Progress, silent
 from dronevio.models.surfaces import Mesh, PointCloud
 
 MIN_SUPPORT = 2.0
-"""Number of depth images, each at the median depth of all, that have to see a voxel with a surface."""
+"""Number of depth images, each at a large depth, that have to see a voxel with a surface."""
+_LARGE_PERCENTILE = 90.0  # of all depths
 _MIN_TRIANGLES = 100  # of a connected part of the mesh
 _MAX_VOXELS = 20_000_000
 
@@ -43,16 +44,16 @@ def surfaces(
     greys = (np.repeat(depth.grey[..., None], 3, axis=2) for depth in depths)
     cloud = fuse(zip(posed, greys, strict=True), voxel_m)
     volume = integrate(posed, MeshConfig(voxel=voxel_m, max_voxels=_MAX_VOXELS), progress)
-    volume.weights[volume.weights < MIN_SUPPORT * _median_weight(posed)] = 0.0
+    volume.weights[volume.weights < MIN_SUPPORT * _least_weight(posed)] = 0.0
     mesh = build_mesh(volume, cloud, _MIN_TRIANGLES)
     return _beside(cloud, mesh, 2.0 * volume.voxel), mesh
 
 
-def _median_weight(posed: Sequence[PosedDepth]) -> float:
-    """Return the weight of a depth image at the median depth; 0 without depths."""
+def _least_weight(posed: Sequence[PosedDepth]) -> float:
+    """Return the weight of a depth image at a large depth, 0 without depths; nearer surfaces have larger weights."""
     known: list[Floats] = [each.inverse_depth[each.inverse_depth > 0.0][::16] for each in posed]
     values = np.concatenate([np.zeros(0, np.float32), *known])
-    return float(np.median(values) ** 2) if len(values) else 0.0
+    return float(np.percentile(values, 100.0 - _LARGE_PERCENTILE) ** 2) if len(values) else 0.0
 
 
 def _beside(cloud: PointCloud, mesh: Mesh, distance: float) -> PointCloud:
