@@ -1,6 +1,6 @@
 """Make the picture of the dense map for docs/images: a simulated room, mapped from rendered stereo at estimated poses.
 
-.venv/bin/python tools/map_picture.py --out docs/images/map.jpg
+``make pictures`` makes it with the others.
 """
 
 import tempfile
