@@ -254,7 +254,7 @@ def test_edges_are_cut_on_both_sides_but_poles_stay() -> None:
     disparity = np.full((20, 60), 5.0, np.float32)
     disparity[:, 40:] = 10.0
     disparity[:, 15:18] = 10.0
-    cut = refinement.at_edge(disparity, disparity)[10]
+    cut = refinement.edges(disparity, disparity)[0][10]
     k = refinement.EDGE_PX
     assert np.flatnonzero(cut).tolist() == [*range(15 - k, 15), *range(18, 18 + k), *range(40 - k, 40 + k)]
 
@@ -263,10 +263,20 @@ def test_a_slanted_surface_is_no_edge() -> None:
     """A near slanted surface is kept up to its edge, where it ends before a background."""
     u, v = np.meshgrid(np.arange(60.0, dtype=np.float32), np.arange(40.0, dtype=np.float32))
     surface = np.float32(20.0) + np.float32(0.2) * u + np.float32(0.3) * v
-    assert not refinement.at_edge(surface, surface)[3:-3, 3:-3].any()
+    assert not refinement.edges(surface, surface)[0][3:-3, 3:-3].any()
     ended = np.where(u < 30.0, surface, np.float32(5.0)).astype(np.float32)
     k = refinement.EDGE_PX
-    assert np.flatnonzero(refinement.at_edge(ended, ended)[20]).tolist() == list(range(30 - k, 30 + k))
+    assert np.flatnonzero(refinement.edges(ended, ended)[0][20]).tolist() == list(range(30 - k, 30 + k))
+
+
+def test_the_standard_deviation_grows_beside_an_edge() -> None:
+    """It is the root of the probability of the other surface times the jump, within a distance, and 0 beyond."""
+    disparity = np.full((40, 80), 5.0, np.float32)
+    disparity[:, 40:] = 10.0
+    sigma = refinement.edges(disparity, disparity)[1][20]
+    k = refinement.BESIDE_PX
+    assert np.flatnonzero(sigma).tolist() == list(range(40 - k, 40 + k))
+    assert sigma[40 - k : 40 + k] == pytest.approx(5.0 * np.sqrt(refinement.OTHER_SURFACE))
 
 
 def test_small_patches_are_speckles() -> None:
