@@ -62,12 +62,16 @@ class SweepDepth:
         self._rig = rig
         self._undistortion = Undistortion.of(rig.cameras[0].model, ViewConfig(MAX_SIDE_PX, MAX_ANGLE_DEG))
         self._views: deque[tuple[int, View]] = deque()
+        self._track = 0
         self._last_ns: int | None = None
 
     def depth(self, frame: CameraFrame, estimate: Estimate) -> DepthImage | None:
         """Return the depth image of a frame; None without enough motion, or soon after the last one."""
-        if estimate.state is None or estimate.health is not Health.TRACKING:
+        is_tracking = estimate.state is not None and estimate.health is Health.TRACKING
+        if not is_tracking or estimate.track != self._track:  # earlier poses are in another odometry frame
             self._views.clear()
+            self._track = estimate.track
+        if estimate.state is None or not is_tracking:
             return None
         if not frame.images[0].size:
             return None
