@@ -78,11 +78,10 @@ class DenseMapper:
         due = self._last_ns is None or (frame.t_ns - self._last_ns) * 1e-9 > 1.0 / c.rate_hz - 1e-3
         if not due or estimate.health is not Health.TRACKING or estimate.T_odom_imu is None:
             return None
-        depth = self._source.depth(frame, estimate)
-        if depth is None:
-            return None
         self._last_ns = frame.t_ns
-        self.add_depth(depth)
+        depth = self._source.depth(frame, estimate)
+        if depth is not None:
+            self.add_depth(depth)
         return depth
 
     def add_depth(self, depth: DepthImage) -> None:

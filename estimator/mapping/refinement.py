@@ -21,7 +21,7 @@ WINDOW_PX = (5, 5)
 """Width and height of the window of the step [px]."""
 NOISE_GREY = 2.0
 """Standard deviation of the difference of two images at a pixel [grey values]."""
-MIN_CORRELATION = 0.8
+MIN_CORRELATION = 0.75
 """Smallest correlation of the windows of the two images."""
 MAX_CHANGE_PX = 0.8
 """Change of the disparity within a band, beyond that of a slanted surface, above which there is an edge [px]."""
@@ -29,6 +29,10 @@ MAX_SLOPE = 0.6
 """Largest change of the disparity from pixel to pixel on a surface [px]."""
 EDGE_PX = 3
 """Width of the bands on both sides of an edge in which disparities are left out [px]."""
+BESIDE_PX = 12
+"""Distance from an edge within which a disparity may be that of the other surface [px]."""
+OTHER_SURFACE = 0.005
+"""Probability of that."""
 SMALLEST_PX = 40
 """Size of the smallest patch of disparities that nothing around it supports [px]."""
 _FIXED = 16.0  # disparities are compared in sixteenths of a pixel
@@ -56,23 +60,36 @@ def least_squares_step(image: Floats, warped: Floats, gradient: Floats) -> tuple
     return step.astype(np.float32), sigma
 
 
-def at_edge(disparity: Floats, matched: Floats) -> Mask:
-    """Return where (H, W) disparities are left out because the depth jumps.
+def edges(disparity: Floats, matched: Floats) -> tuple[Mask, Floats]:
+    """Return where (H, W) disparities are left out because the depth jumps, and standard deviations (H, W) beside it.
 
     Windows at an edge see both surfaces, so that the nearer one seems wider than it is, and the farther one is hidden
-    from one camera. What is narrower than the two bands, such as a pole, is kept: to lose it would be worse.
+    from one camera. What is narrower than the two bands, such as a pole, is kept: to lose it would be worse. Farther
+    from the edge, a disparity is that of the other surface with a small probability p, which adds p J² to the variance
+    for a jump by J. The jump is what the slope of the surface does not explain.
 
     Args:
         disparity: (H, W) Disparities that are known, 0 elsewhere [px].
         matched: (H, W) Disparities of the matcher, not more than 0 where there is none [px].
     """
-    change = np.float32(MAX_CHANGE_PX) + np.float32(EDGE_PX) * _slope(matched)
+    slope = _slope(matched)
+    change = np.float32(MAX_CHANGE_PX) + np.float32(EDGE_PX) * slope
+    high, low = _range_around(matched, EDGE_PX)
+    farther, nearer = high > disparity + change, low < disparity - change
     square = np.ones((2 * EDGE_PX + 1, 2 * EDGE_PX + 1), np.uint8)
-    farther = cv2.dilate(matched, square) > disparity + change
-    nearer = cv2.erode(np.where(matched > 0.0, matched, np.float32(1e6)), square) < disparity - change
     kept = cv2.dilate(np.where(farther | nearer, np.float32(0.0), disparity), square)
     is_narrow = kept < disparity - change
-    return np.asarray(farther | (nearer & ~is_narrow))
+    high, low = _range_around(matched, BESIDE_PX)
+    jump = np.maximum(high - disparity, disparity - low) - np.float32(BESIDE_PX) * slope
+    sigma = np.float32(math.sqrt(OTHER_SURFACE)) * np.maximum(jump, np.float32(0.0))
+    return np.asarray(farther | (nearer & ~is_narrow)), np.asarray(sigma)
+
+
+def _range_around(matched: Floats, reach_px: int) -> tuple[Floats, Floats]:
+    """Return the largest and smallest disparities (H, W) in the square around each pixel."""
+    square = np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8)
+    low = cv2.erode(np.where(matched > 0.0, matched, np.float32(1e6)), square)
+    return np.asarray(cv2.dilate(matched, square)), np.asarray(low)
 
 
 def _slope(matched: Floats) -> Floats:

@@ -12,7 +12,7 @@ import numpy as np
 
 from dronevio.estimator.mapping.camera_pose import delay_s, pose_after
 from dronevio.estimator.mapping.rectification import Rectification
-from dronevio.estimator.mapping.refinement import at_edge, least_squares_step, speckles
+from dronevio.estimator.mapping.refinement import edges, least_squares_step, speckles
 from dronevio.models.arrays import Floats, Image
 from dronevio.models.depth import DepthImage
 from dronevio.models.rig import Rig
@@ -24,13 +24,13 @@ FLOOR_PX = 0.13
 """Standard deviation of the disparity by calibration, interpolation and slanted surfaces [px]."""
 MAX_SIGMA_PX = 0.6
 """Largest standard deviation of a disparity that is used [px]."""
-MAX_STEP_PX = 0.6
+MAX_STEP_PX = 0.8
 """Largest step from the disparity of the matcher [px]."""
 MAX_SHIFT_PX = 1.0
 """Largest shift between the images by motion between two exposures [px]."""
 MATCH_BLOCK_PX = 5
-_SMALL_PENALTY, _LARGE_PENALTY = 8, 32  # of the matcher, for each pixel of a block
-_UNIQUENESS, _CONSISTENCY_PX = 15, 1
+_SMALL_PENALTY, _LARGE_PENALTY = 8, 64  # of the matcher, for each pixel of a block
+_UNIQUENESS, _CONSISTENCY_PX = 25, 1
 _SPECKLE_PX, _SPECKLE_RANGE_PX = 300, 1
 _FIXED = 16.0  # the matcher returns sixteenths
 
@@ -58,6 +58,7 @@ class StereoDepth:
             _SPECKLE_RANGE_PX,
             cv2.STEREO_SGBM_MODE_SGBM_3WAY,
         )
+        self._masks = [map_.mask.astype(np.uint8) for map_ in pair.maps]
         self._columns, self._rows = np.meshgrid(
             np.arange(pair.camera.width, dtype=np.float32), np.arange(pair.camera.height, dtype=np.float32)
         )
@@ -95,13 +96,15 @@ class StereoDepth:
         known = (coarse > 0.0) & (coarse < self._disparities - 2)  # what is nearer is matched to the last ones
         step, sigma = self._refined(left, right, coarse)
         disparity = coarse + step
-        # A match outside the right image is none
-        u = np.clip(np.rint(self._columns - disparity), 0, left.shape[1] - 1).astype(np.int32)
-        known &= self._pair.maps[0].mask & self._pair.maps[1].mask[self._rows.astype(np.int32), u]
         known &= (disparity > 0.0) & (np.abs(step) <= MAX_STEP_PX) & (sigma <= MAX_SIGMA_PX)
-        known &= ~at_edge(np.where(known, coarse, np.float32(0.0)), coarse)
+        # A match outside the right image is none
+        known &= (
+            cv2.remap(self._masks[1], self._columns - disparity, self._rows, cv2.INTER_NEAREST) & self._masks[0] > 0
+        )
+        cut, beside = edges(np.where(known, coarse, np.float32(0.0)), coarse)
+        known &= ~cut
         known &= ~speckles(np.where(known, disparity, np.float32(0.0)))
-        sigma = np.sqrt(sigma * sigma + np.float32(FLOOR_PX**2 + shift_px**2))
+        sigma = np.sqrt(sigma * sigma + beside * beside + np.float32(FLOOR_PX**2 + shift_px**2))
         zero = np.float32(0.0)
         return np.where(known, disparity, zero), np.where(known, sigma, zero)
 
@@ -114,8 +117,8 @@ class StereoDepth:
     def _equalised(self, left: Image, right: Image) -> Image:
         """Return the right image with the mean and the contrast of the left one: the exposures may differ."""
         (m, s), (n, t) = (
-            [float(value[0, 0]) for value in cv2.meanStdDev(image, mask=map_.mask.astype(np.uint8))]
-            for image, map_ in zip((left, right), self._pair.maps, strict=True)
+            [float(value[0, 0]) for value in cv2.meanStdDev(image, mask=mask)]
+            for image, mask in zip((left, right), self._masks, strict=True)
         )
         gain = float(np.clip(s / t, 0.5, 2.0)) if t > 0.0 else 1.0
         return np.asarray(cv2.addWeighted(right, gain, right, 0.0, m - gain * n))

@@ -16,7 +16,7 @@ from dronevio.estimator.dense.sgm import Sums, aggregate, subpixel_minimum
 from dronevio.estimator.dense.sweep import SCALE, Warp, sweep
 from dronevio.estimator.dense.views import Undistortion, View
 from dronevio.estimator.mapping.camera_pose import delay_s, pose_after
-from dronevio.estimator.mapping.refinement import at_edge, least_squares_step, speckles
+from dronevio.estimator.mapping.refinement import edges, least_squares_step, speckles
 from dronevio.models.arrays import Floats, Integers, Mask
 from dronevio.models.depth import DepthImage
 from dronevio.models.rig import Rig
@@ -62,12 +62,16 @@ class SweepDepth:
         self._rig = rig
         self._undistortion = Undistortion.of(rig.cameras[0].model, ViewConfig(MAX_SIDE_PX, MAX_ANGLE_DEG))
         self._views: deque[tuple[int, View]] = deque()
+        self._track = 0
         self._last_ns: int | None = None
 
     def depth(self, frame: CameraFrame, estimate: Estimate) -> DepthImage | None:
         """Return the depth image of a frame; None without enough motion, or soon after the last one."""
-        if estimate.state is None or estimate.health is not Health.TRACKING:
+        is_tracking = estimate.state is not None and estimate.health is Health.TRACKING
+        if not is_tracking or estimate.track != self._track:  # earlier poses are in another odometry frame
             self._views.clear()
+            self._track = estimate.track
+        if estimate.state is None or not is_tracking:
             return None
         if not frame.images[0].size:
             return None
@@ -142,7 +146,9 @@ def inverse_depth(reference: View, sources: Sequence[View]) -> tuple[Floats, Flo
     sigma = np.sqrt(np.divide(1.0, information, out=np.zeros_like(matched), where=known) + (SCALE_SIGMA * w) ** 2)
     known &= (w > 0.0) & (np.abs(change) <= spacing) & (sigma <= MAX_SIGMA_STEPS * step + SCALE_SIGMA * w)
     pixels = np.float32(1.0 / step)
-    known &= ~at_edge(np.where(known, w * pixels, np.float32(0.0)), np.where(index > 0, matched * pixels, 0.0))
+    cut, beside = edges(np.where(known, w * pixels, np.float32(0.0)), np.where(index > 0, matched * pixels, 0.0))
+    known &= ~cut
+    sigma = np.hypot(sigma, beside / pixels)
     known &= ~speckles(np.where(known, w * pixels, np.float32(0.0)))
     zero = np.float32(0.0)
     return np.where(known, w, zero).astype(np.float32), np.where(known, sigma, zero).astype(np.float32)

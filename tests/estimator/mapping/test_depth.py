@@ -8,6 +8,8 @@ import pytest
 
 from dronevio.estimator.mapping import refinement
 from dronevio.estimator.mapping.camera_pose import delay_s, pose_after
+from dronevio.estimator.mapping.config import DenseMapConfig
+from dronevio.estimator.mapping.dense_mapper import DenseMapper
 from dronevio.estimator.mapping.depth_source import depth_source
 from dronevio.estimator.mapping.rectification import Rectification, rectified_pair
 from dronevio.estimator.mapping.stereo_depth import StereoDepth
@@ -16,6 +18,7 @@ from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.depth import DepthImage
 from dronevio.models.errors import ConfigError
+from dronevio.models.occupancy import OCCUPIED
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
@@ -254,7 +257,7 @@ def test_edges_are_cut_on_both_sides_but_poles_stay() -> None:
     disparity = np.full((20, 60), 5.0, np.float32)
     disparity[:, 40:] = 10.0
     disparity[:, 15:18] = 10.0
-    cut = refinement.at_edge(disparity, disparity)[10]
+    cut = refinement.edges(disparity, disparity)[0][10]
     k = refinement.EDGE_PX
     assert np.flatnonzero(cut).tolist() == [*range(15 - k, 15), *range(18, 18 + k), *range(40 - k, 40 + k)]
 
@@ -263,10 +266,20 @@ def test_a_slanted_surface_is_no_edge() -> None:
     """A near slanted surface is kept up to its edge, where it ends before a background."""
     u, v = np.meshgrid(np.arange(60.0, dtype=np.float32), np.arange(40.0, dtype=np.float32))
     surface = np.float32(20.0) + np.float32(0.2) * u + np.float32(0.3) * v
-    assert not refinement.at_edge(surface, surface)[3:-3, 3:-3].any()
+    assert not refinement.edges(surface, surface)[0][3:-3, 3:-3].any()
     ended = np.where(u < 30.0, surface, np.float32(5.0)).astype(np.float32)
     k = refinement.EDGE_PX
-    assert np.flatnonzero(refinement.at_edge(ended, ended)[20]).tolist() == list(range(30 - k, 30 + k))
+    assert np.flatnonzero(refinement.edges(ended, ended)[0][20]).tolist() == list(range(30 - k, 30 + k))
+
+
+def test_the_standard_deviation_grows_beside_an_edge() -> None:
+    """It is the root of the probability of the other surface times the jump, within a distance, and 0 beyond."""
+    disparity = np.full((40, 80), 5.0, np.float32)
+    disparity[:, 40:] = 10.0
+    sigma = refinement.edges(disparity, disparity)[1][20]
+    k = refinement.BESIDE_PX
+    assert np.flatnonzero(sigma).tolist() == list(range(40 - k, 40 + k))
+    assert sigma[40 - k : 40 + k] == pytest.approx(5.0 * np.sqrt(refinement.OTHER_SURFACE))
 
 
 def test_small_patches_are_speckles() -> None:
@@ -321,3 +334,39 @@ def test_a_loss_forgets_the_images() -> None:
     assert source.depth(CameraFrame(10**9, (picture(SMALL, np.eye(4)),)), Estimate(10**9, Health.LOST, None)) is None
     frame = CameraFrame(10**9 + 50_000_000, (picture(SMALL, np.eye(4)),))
     assert source.depth(frame, estimate(t_ns=frame.t_ns)) is None
+
+
+def test_another_track_forgets_the_images() -> None:
+    """Images of another track have poses in another frame and are not compared, even if no loss was reported."""
+    for track, is_known in ((0, True), (1, False)):
+        source, _ = moving(np.array([1.0, 0.0, 0.0]))
+        T = pose_matrix(np.eye(3), np.array([0.5, 0.0, 0.0]))
+        frame = CameraFrame(10**9, (picture(SMALL, T),))
+        found = source.depth(frame, replace(estimate(T, frame.t_ns), track=track))
+        assert (found is not None) is is_known
+
+
+def test_the_dense_map_of_one_camera() -> None:
+    """Frames that are due enter the dense map with the depth of one camera, whose wall is occupied."""
+    rig = Rig((RigCamera(SMALL, np.eye(4)),))
+    source = SweepDepth(rig)
+    asked, count = [], 40
+
+    class Counted:
+        def depth(self, frame: CameraFrame, at: Estimate) -> DepthImage | None:
+            asked.append(frame.t_ns)
+            return source.depth(frame, at)
+
+    mapper = DenseMapper(rig, DenseMapConfig(rate_hz=10.0), Counted())
+    found = 0
+    for k in range(count):
+        T = pose_matrix(np.eye(3), np.array([0.015 * k, 0.0, 0.0]))
+        frame = CameraFrame(k * 50_000_000, (picture(SMALL, T),))
+        found += mapper.add_frame(frame, estimate(T, frame.t_ns)) is not None
+    assert asked == [100_000_000 * k for k in range(count // 2)]
+    assert found >= 3
+    grid = mapper.local_map
+    assert grid is not None
+    occupied = grid.points(OCCUPIED)
+    assert len(occupied) > 50
+    assert abs(np.median(occupied[:, 2]) - WALL_M) < 0.1
