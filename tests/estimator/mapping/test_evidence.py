@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dronevio.estimator.mapping.evidence import FREE_LOG_ODDS, OCCUPIED_LOG_ODDS, Evidence, evidence
+from dronevio.estimator.mapping.evidence import FREE_LOG_ODDS, HOLE_PX, OCCUPIED_LOG_ODDS, Evidence, evidence
 from dronevio.estimator.mapping.nearest_depth import NearestDepths
-from dronevio.models.arrays import Array
+from dronevio.models.arrays import Array, Floats
 from dronevio.models.rotation import exp_so3
 from tests.estimator.mapping.scenes import CAMERA, EUROC_HALF, image, pose, wall, with_box, with_pole
 
@@ -105,6 +105,52 @@ def test_a_pole_of_unknown_depth_in_front_of_a_known_wall_is_not_freed() -> None
     for z in (0.55, 1.05, 1.95, 2.05):
         assert value_at(found, (z, 0.0, 0.05)) == 0.0
     assert value_at(found, (2.05, 0.35, 0.05)) < 0.0
+
+
+def with_hole(depth_m: Floats, columns: slice, rows: slice) -> Floats:
+    holed = depth_m.copy()
+    holed[rows, columns] = 0.0
+    return holed
+
+
+def test_rejected_pixels_of_a_wall_do_not_block_what_is_in_front_of_it() -> None:
+    whole = wall(3.05, EUROC_HALF)
+    holed = np.where(np.random.default_rng(0).random(whole.shape) < 0.3, np.float32(0.0), whole)
+    free, free_with_holes = (
+        found_free(evidence(image(depth, pose((0.0, 0.0, 0.0)), 0.02, EUROC_HALF), CELL_M, 4.0))
+        for depth in (whole, holed)
+    )
+    assert (free & ~free_with_holes).sum() < 0.001 * free.sum()
+    assert not (free_with_holes & ~free).any()
+
+
+@pytest.mark.parametrize("angle_deg", np.arange(0.0, 180.0, 7.5))
+def test_a_stripe_of_unknown_depth_is_not_freed_at_any_angle(angle_deg: float) -> None:
+    """As wide as a pole of a pixel with the bands in which a matcher sees two surfaces."""
+    depth, angle = wall(3.95, EUROC_HALF), np.deg2rad(angle_deg)
+    v, u = np.indices(depth.shape)
+    K = EUROC_HALF.K
+    depth[np.abs((u - K[0, 2]) * np.cos(angle) - (v - K[1, 2]) * np.sin(angle)) <= 3.5] = 0.0
+    found = evidence(image(depth, pose((0.0, 0.0, 0.0)), 0.0, EUROC_HALF), CELL_M, 4.0)
+    for x in (0.55, 1.05, 2.05, 2.95):
+        assert value_at(found, (x, 0.0, 0.05)) == 0.0
+
+
+@pytest.mark.parametrize("side_px, expected", [(HOLE_PX - 2, FREE_LOG_ODDS), (HOLE_PX + 2, 0.0)])
+def test_only_a_small_hole_is_closed(side_px: int, expected: float) -> None:
+    """A hole that is seen in the middle of the image, wider than the footprint of the cell."""
+    columns, rows = (slice(c - side_px // 2, c - side_px // 2 + side_px) for c in (187, 119))
+    depth = image(with_hole(wall(3.95, EUROC_HALF), columns, rows), pose((0.0, 0.0, 0.0)), 0.0, EUROC_HALF)
+    assert value_at(evidence(depth, 0.05, 4.0), (2.525, 0.0, 0.0), 0.05) == pytest.approx(expected)
+
+
+def test_a_hole_has_the_nearest_depth_beside_it() -> None:
+    depth = wall(3.95, EUROC_HALF)
+    depth[:, 197:] = 2.0
+    holed = with_hole(depth, slice(178, 197), slice(110, 129))
+    found = evidence(image(holed, pose((0.0, 0.0, 0.0)), 0.0, EUROC_HALF), 0.05, 4.0)
+    assert value_at(found, (1.525, 0.0, 0.0), 0.05) == pytest.approx(FREE_LOG_ODDS)
+    assert value_at(found, (3.025, 0.0, 0.0), 0.05) == 0.0
 
 
 @pytest.mark.parametrize("diameter_m", [0.02, 0.04, 0.08])
