@@ -57,7 +57,7 @@ class MoverTable:
     def _block(self, number: int) -> Array:
         """Return the rows (B, M, 10) of a block of intervals."""
         if number not in self._blocks:
-            t_s = (number * _BLOCK + np.arange(_BLOCK)) * self._interval_s
+            t_s = np.asarray((number * _BLOCK + np.arange(_BLOCK)) * self._interval_s, np.float64)
             Ts = np.empty((_BLOCK, len(self._centres), 4, 4))
             for place, mover in self._numbers:
                 Ts[:, place] = mover.poses(t_s)
@@ -74,5 +74,5 @@ def _ball(model: mujoco.MjModel, body: int) -> tuple[Array, float]:
     """Return centre (3,) and radius of a ball around the geoms of a body [m], in its frame."""
     own = np.flatnonzero(model.geom_bodyid == body)
     places, radii = model.geom_pos[own], model.geom_rbound[own, None]
-    centre = 0.5 * ((places - radii).min(axis=0) + (places + radii).max(axis=0))
+    centre = np.asarray(0.5 * ((places - radii).min(axis=0) + (places + radii).max(axis=0)))
     return centre, float((np.linalg.norm(places - centre, axis=1) + radii[:, 0]).max())

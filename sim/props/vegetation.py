@@ -16,6 +16,7 @@ from dronevio.sim.appearance.cutouts import Cutouts, joined, spray
 from dronevio.sim.appearance.instances import Instance, single_instance
 from dronevio.sim.appearance.lightmap import Field
 from dronevio.sim.appearance.prisms import UNPAINTED, lateral_surface, prism_boxes
+from dronevio.sim.appearance.scenery import facing, quads_of
 from dronevio.sim.appearance.solids import Box, parts_of
 from dronevio.sim.appearance.textures import Colour, scaled
 
@@ -27,6 +28,7 @@ TONES = 4
 """Number of kinds of leaves on the leaf texture, each in the shade (left) and in the sun (right)."""
 
 _SIDES = 8
+_OF_KITE = 0.85  # of the diagonals of a kite: sides of a rectangle that differs least from it
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +136,8 @@ def bush(rng: Random, sun: Array) -> Vegetation:
     reach = np.abs(leaves.corners[..., :2]).max(axis=(0, 1))
     top = float(leaves.corners[..., 2].max())
     hull = Box(np.array([0.0, 0.0, 0.5 * top]), np.array([*reach, 0.5 * top]), UNPAINTED)
-    return Vegetation((), (leaves,), (hull,), filled(sampled_quads(leaves.corners), _CELL_M))
+    kites = leaves.corners[: len(inside.corners)]
+    return Vegetation((), (leaves,), (hull,), plates(kites, kites[:, 2] - kites[:, 0], _OF_KITE))
 
 
 @single_instance
@@ -175,31 +178,30 @@ def log(rng: Random, radius_m: float, length_m: float, kind: int) -> Vegetation:
     return whole.moved(lie, lift).moved(rotation_z(rng.uniform(0.0, np.pi)), np.zeros(3))
 
 
-_CELL_M = 0.1  # of what fills irregular objects
+_PLATE_M = 0.02  # thickness of the plates of irregular objects
 
 
-def sampled_quads(corners: Array, each: int = 5) -> Array:
-    """Return points (F · each², 3) spread over quadrangles (F, 4, 3), their edges included."""
-    u, v = (part.ravel()[:, None, None] for part in np.meshgrid(*[np.linspace(0.0, 1.0, each)] * 2))
-    a, b, c, d = (corners[:, k] for k in range(4))
-    return np.asarray(((1 - u) * (1 - v) * a + u * (1 - v) * b + u * v * c + (1 - u) * v * d).reshape(-1, 3))
+def plates(corners: Array, along: Array, share: float = 1.0, depth_m: float = 0.0) -> tuple[Box, ...]:
+    """Return a thin box for each of some quadrangles (F, 4, 3): the rectangle around it, or a share of that.
 
-
-def filled(points: Array, gap_m: float = np.inf) -> tuple[Box, ...]:
-    """Return boxes that fill a closed surface, given points (N, 3) on it: bars along y within 5 cm of it.
-
-    Points below the ground z = 0 are ignored. Bars are interrupted where there is no point for ``gap_m``.
+    Args:
+        corners: (F, 4, 3) Corners of the quadrangles, clockwise as seen [m].
+        along: (F, 3) Direction of a side of each rectangle.
+        share: Of the length of each side.
+        depth_m: Of the middle of the plates below the surface [m].
     """
-    points = points[points[:, 2] >= 0.0]
-    cells = np.floor(points[:, [0, 2]] / _CELL_M).astype(int)
-    bars = []
-    for column, row in np.unique(cells, axis=0):
-        inside = np.sort(points[(cells[:, 0] == column) & (cells[:, 1] == row), 1])
-        for part in np.split(inside, np.flatnonzero(np.diff(inside) > gap_m) + 1):
-            half = np.array([0.5 * _CELL_M, max(0.5 * float(np.ptp(part)), 0.01), 0.5 * _CELL_M])
-            middle = np.array([(column + 0.5) * _CELL_M, 0.5 * (part[0] + part[-1]), (row + 0.5) * _CELL_M])
-            bars.append(Box(middle, half, UNPAINTED))
-    return tuple(bars)
+    normal = facing(corners)
+    right = along - np.sum(along * normal, axis=1, keepdims=True) * normal
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    R = np.stack([right, np.cross(normal, right), normal], axis=2)
+    inside = corners @ R
+    low, high = inside.min(axis=1), inside.max(axis=1)
+    middle = 0.5 * (low + high)
+    middle[:, 2] = inside[..., 2].mean(axis=1) - depth_m
+    half = 0.5 * share * (high - low)
+    half[:, 2] = 0.5 * _PLATE_M
+    places = np.einsum("fij,fj->fi", R, middle)
+    return tuple(Box(at, size, UNPAINTED, R=turn) for at, size, turn in zip(places, half, R, strict=True))
 
 
 def boulder(rng: Random, half: Array) -> tuple[Array, Box]:
@@ -217,6 +219,13 @@ def boulder(rng: Random, half: Array) -> tuple[Array, Box]:
     reach = np.abs(grid).max(axis=(0, 1))
     top = float(grid[..., 2].max())
     return grid, Box(np.array([0.0, 0.0, 0.5 * top]), np.array([*reach[:2], 0.5 * top]), UNPAINTED)
+
+
+def boulder_filling(grid: Array, box: Box) -> tuple[Box, ...]:
+    """Return shell and core of a boulder, given its surface (R + 1, C + 1, 3) [m] and its bounding box."""
+    cells = quads_of(grid)
+    shell = plates(cells, cells[:, 1] + cells[:, 2] - cells[:, 0] - cells[:, 3], depth_m=0.5 * _PLATE_M)
+    return (*shell, replace(box, half=0.5 * box.half))
 
 
 def bark_image(rng: Random, height: int, width: int, colours: tuple[Colour, ...], sun: Array) -> Image:

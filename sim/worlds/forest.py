@@ -12,7 +12,6 @@ from dronevio.sim.appearance import pictures, textures
 from dronevio.sim.appearance import textures_nature as nature
 from dronevio.sim.appearance.cutouts import Print
 from dronevio.sim.appearance.instances import Instance
-from dronevio.sim.appearance.scenery import quads_of
 from dronevio.sim.appearance.solids import Box, Sheet, parts_of
 from dronevio.sim.appearance.textures import Colour, scaled
 from dronevio.sim.props import vegetation
@@ -109,13 +108,12 @@ def layout(rng: Random, light: Random | None = None) -> Layout:
         pixels_per_m=24.0,
         instance=floor,
     )
-    stone = partial(nature.stone, colour=_STONE)
-    stones = tuple(Sheet(grid, stone, pixels_per_m=160.0, instance=Instance("boulder")) for grid, _ in boulders)
+    paint = partial(nature.stone, colour=_STONE)
+    stones = tuple(Sheet(grid, paint, pixels_per_m=160.0, instance=Instance("boulder")) for grid, _ in boulders)
     shade = [_shade(place, radius) for _, place, radius in plantation]
     filling = [box for plant in growing for box in plant.filling]
-    for boulder in stones:
-        inside = vegetation.filled(vegetation.sampled_quads(quads_of(boulder.grid), 9))
-        filling += parts_of(boulder.instance, inside)
+    for stone, (grid, box) in zip(stones, boulders, strict=True):
+        filling += parts_of(stone.instance, vegetation.boulder_filling(grid, box))
     obstacles = [box for plant in growing for box in plant.obstacles] + [box for _, box in boulders]
     wood = tuple(part for plant in growing for part in plant.wood)
     leaves = tuple(part for plant in growing for part in plant.leaves)

@@ -19,7 +19,9 @@ from dronevio.sim.physics.vehicle_states import VehicleStates
 from dronevio.sim.world import collision_spec, flight_area, illumination_and_movers, solid_space
 
 
-@pytest.mark.parametrize(("world", "seed"), [("room", 0), ("corridor", 1), ("mirror", 1), ("gates", 0)])
+@pytest.mark.parametrize(
+    ("world", "seed"), [("room", 0), ("corridor", 1), ("mirror", 1), ("gates", 0), ("warehouse", 2), ("forest", 2)]
+)
 def test_what_collides_is_what_is_seen(world: str, seed: int, script: Callable[[str], Any]) -> None:
     invisible, unsolid, *_ = script("collision_geometry").measured(world, seed, points=40, rays=32)
     assert invisible < 0.5 and unsolid < 0.5
