@@ -61,8 +61,8 @@ def measured(world: str, seed: int, points: int = 100, rays: int = 48) -> tuple[
     unsolid &= ~np.char.startswith(names[instance], "fern")
     blocks = [colliding.geom(int(k)).name.rsplit("_part", 1)[0] for k in solid[invisible]]
     passed = [str(name) for name in names[instance][unsolid]]
-    worst = ([name for name, _ in Counter(found).most_common(3)] for found in (blocks, passed))
-    return 100.0 * float(invisible.mean()), 100.0 * float(unsolid.mean()), *worst
+    through, into = ([name for name, _ in Counter(found).most_common(3)] for found in (blocks, passed))
+    return 100.0 * float(invisible.mean()), 100.0 * float(unsolid.mean()), through, into
 
 
 def main() -> None:

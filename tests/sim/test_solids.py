@@ -30,7 +30,8 @@ def test_what_collides_is_what_is_seen(world: str, seed: int, script: Callable[[
 @pytest.mark.parametrize("world", ["room", "corridor", "forest", "repetitive", "gates"])
 def test_keep_out_boxes_contain_the_solids(world: str) -> None:
     area, solids = flight_area(world, 1), solid_space(world, 1)
-    points = np.random.default_rng(0).uniform(*area.free_box + [[0, 0, 0.02], [0, 0, 0]], (2000, 3))
+    low, high = area.free_box + [[0, 0, 0.02], [0, 0, 0]]
+    points = np.random.default_rng(0).uniform(low, high, (2000, 3))
     assert solids.clearance(points).min() > 0.0  # the free box is free of solids, too
     legs = np.roll(area.route, -1, axis=0) - area.route
     along = (area.route[:, None] + np.linspace(0.0, 1.0, 60)[:, None] * legs[:, None]).reshape(-1, 3)

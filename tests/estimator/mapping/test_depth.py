@@ -40,7 +40,7 @@ def texture(seed: int = 0) -> Image:
     """Return a picture (1600, 1600) of smooth noise."""
     noise = np.random.default_rng(seed).normal(size=(1600, 1600))
     smooth = cv2.GaussianBlur(noise, (0, 0), 4.0)
-    return np.clip(128.0 + 40.0 * smooth / smooth.std(), 0.0, 255.0).astype(np.uint8)
+    return np.asarray(np.clip(128.0 + 40.0 * smooth / smooth.std(), 0.0, 255.0), np.uint8)
 
 
 def picture(model: CameraModel, T_world_cam: Array, seed: int = 0, noise: float = 1.0) -> Image:
@@ -53,7 +53,7 @@ def picture(model: CameraModel, T_world_cam: Array, seed: int = 0, noise: float 
     px = (at[..., :2] / 0.005 + 800.0).astype(np.float32)
     image = cv2.remap(texture(seed), px[..., 0], px[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
     noisy = image + np.random.default_rng(seed + 1).normal(size=image.shape) * noise
-    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(np.rint(noisy), 0, 255), np.uint8)
 
 
 def pair_of(model: CameraModel, other: Array, second: CameraModel | None = None) -> Rig:
