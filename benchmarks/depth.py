@@ -23,14 +23,16 @@ from typing import Annotated
 import cv2
 import numpy as np
 import tyro
-from measuring import Row, odometry, print_as_made, text
+from measuring import Row, print_as_made, text
 
 from dronevio.estimator.mapping.depth_source import depth_source
 from dronevio.estimator.mapping.rectification import rectified_pair
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.threads import single_threaded
 from dronevio.models.arrays import Array, Floats, Image
 from dronevio.models.depth import DepthImage
-from dronevio.models.protocols import Recording
+from dronevio.models.imu import ImuSamples
+from dronevio.models.protocols import Recording, measurements
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.rotation import inverse_pose
 
@@ -52,17 +54,26 @@ class DepthCommand:
     """Recordings, with true depth images unless there are only pictures."""
     range_m: float = 6.0
     """Depth up to which pixels count [m]."""
+    duration_s: float = 10.0
+    """Time from the beginning of each recording that enters [s]."""
     cameras: tuple[int, ...] = (2, 1)
     """Numbers of cameras."""
     pictures: Path | None = None
     """PNG file of pictures of the first recording, instead of scores."""
 
 
-def depth_images(recording: Recording) -> Iterator[tuple[int, DepthImage, float]]:
-    """Yield the depth images of a recording with the index of the frame and the processor time [s]."""
-    source, last_ns = depth_source(recording.rig), None
-    for index, estimate in enumerate(odometry(recording).estimates):
-        frame = recording.frame(index)
+def depth_images(recording: Recording, duration_s: float) -> Iterator[tuple[int, DepthImage, float]]:
+    """Yield the depth images of the beginning of a recording with the index of the frame and the processor time [s]."""
+    source, last_ns, index = depth_source(recording.rig), None, -1
+    slam = VisualInertialOdometry(recording.rig)
+    for frame in measurements(recording):
+        if isinstance(frame, ImuSamples):
+            slam.add_imu(frame)
+            continue
+        index += 1
+        if frame.t_ns - int(recording.frame_times_ns[0]) > duration_s * 1e9:
+            return
+        estimate = slam.add_frame(frame)
         if estimate.state is None or (last_ns is not None and frame.t_ns - last_ns < (EVERY_S - 1e-3) * 1e9):
             continue
         last_ns = frame.t_ns
@@ -93,7 +104,7 @@ def true_depths(folder: Path, recording: Recording, index: int, image: DepthImag
     return np.stack([np.where(z > 0.0, z / rays[..., 2], np.inf) for z in found]).astype(np.float32)
 
 
-def row_of(folder: Path, cameras: int, range_m: float) -> Row | None:
+def row_of(folder: Path, cameras: int, range_m: float, duration_s: float) -> Row | None:
     """Return the scores of the depth images of a flight; None if it has fewer cameras."""
     recording = open_recording(folder, None)
     if len(recording.rig.cameras) < cameras:
@@ -103,7 +114,7 @@ def row_of(folder: Path, cameras: int, range_m: float) -> Row | None:
     pair = rectified_pair(recording.rig)
     T_fixed = recording.rig.cameras[0].T_imu_cam if pair is None else pair.T_imu_left
     scale = 1.0 if pair is None else pair.fb
-    for number, (index, image, spent_s) in enumerate(depth_images(recording)):
+    for number, (index, image, spent_s) in enumerate(depth_images(recording, duration_s)):
         spent.append(spent_s)
         if cameras > 1 and number % SCORED_EVERY:
             continue
@@ -160,12 +171,17 @@ def panels(image: DepthImage, range_m: float) -> tuple[Image, Image, Image]:
 def main(command: DepthCommand) -> None:
     """Print the table, or write the pictures."""
     if command.pictures is not None:
-        images = [d for _, d, _ in depth_images(open_recording(command.recordings[0], command.cameras[0]))]
+        recording = open_recording(command.recordings[0], command.cameras[0])
+        images = [d for _, d, _ in depth_images(recording, command.duration_s)]
         chosen = [images[k] for k in np.linspace(0, len(images) - 1, PICTURES).astype(int)]
         command.pictures.parent.mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(command.pictures), picture(chosen, command.range_m))
         return
-    rows = (row_of(folder, cameras, command.range_m) for folder in command.recordings for cameras in command.cameras)
+    rows = (
+        row_of(folder, cameras, command.range_m, command.duration_s)
+        for folder in command.recordings
+        for cameras in command.cameras
+    )
     print_as_made(row for row in rows if row is not None)
 
 
