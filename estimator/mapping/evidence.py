@@ -23,7 +23,7 @@ FREE_SIGMAS = 2.0
 """Standard deviations in front of a depth of which nothing is said."""
 FULL_BLOCKS = 3.0
 """Number of blocks of pixels whose points in a cell are full evidence that it is occupied."""
-HOLE_PX = 21
+HOLE_PX = 15
 """Length of holes in the depth that may hide a thing; an odd number [px]."""
 _STEPS = 65535.0
 """Steps of the quantized depths."""

@@ -146,8 +146,8 @@ def test_only_a_small_hole_is_closed(side_px: int, expected: float) -> None:
 
 def test_a_hole_has_the_nearest_depth_beside_it() -> None:
     depth = wall(3.95, EUROC_HALF)
-    depth[:, 197:] = 2.0
-    holed = with_hole(depth, slice(178, 197), slice(110, 129))
+    depth[:, 194:] = 2.0
+    holed = with_hole(depth, slice(181, 194), slice(113, 126))
     found = evidence(image(holed, pose((0.0, 0.0, 0.0)), 0.0, EUROC_HALF), 0.05, 4.0)
     assert value_at(found, (1.525, 0.0, 0.0), 0.05) == pytest.approx(FREE_LOG_ODDS)
     assert value_at(found, (3.025, 0.0, 0.0), 0.05) == 0.0
