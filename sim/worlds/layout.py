@@ -57,7 +57,8 @@ class Layout:
     boxes: tuple[Box, ...]
     """All other visible boxes; faces against the bounds of the flight space are omitted."""
     obstacles: tuple[Box, ...]
-    """Keep-out boxes for path planning, which contain the solids of the objects; their paint is not used."""
+    """Keep-out boxes for path planning; their paint is not used. They are drawn by hand, since recorded routes depend on
+    them. Solids protrude by at most 13 cm from them and from the bounds, but for the pendant lamps of the room."""
     lights: tuple[AreaLight, ...]
     """Area lights of the world."""
     pad: Array
