@@ -57,7 +57,8 @@ class Layout:
     boxes: tuple[Box, ...]
     """All other visible boxes; faces against the bounds of the flight space are omitted."""
     obstacles: tuple[Box, ...]
-    """Keep-out boxes for path planning, which contain the solids of the objects; their paint is not used."""
+    """Keep-out boxes for path planning; their paint is not used. Recorded routes depend on them. Solids protrude from
+    them and from the bounds by at most 18 cm, but for the pendant lamps of the room, which are free of them."""
     lights: tuple[AreaLight, ...]
     """Area lights of the world."""
     pad: Array

@@ -74,8 +74,8 @@ def test_rooms_are_determined_by_the_seed() -> None:
 def test_the_model_has_few_geoms_and_separate_collisions(world: World) -> None:
     model = world.spec.compile()
     seen = model.geom_group == 0
-    assert seen.sum() <= 20  # for rendering; the others are solids, which it skips
-    assert model.ngeom <= 350
+    assert seen.sum() <= 20  # draw calls of an image: pages of textures share them, whatever the number of objects
+    assert (~seen).sum() <= 260  # solids cost time: 230 slow a batch by 18 %, and the 2500 of a warehouse by 35 %
     assert (model.geom_contype[seen] == 0).all()
     assert (model.geom_contype[~seen] == 1).all()
     assert model.vis.map.znear * model.stat.extent < 0.05
