@@ -60,7 +60,7 @@ def test_nothing_is_free_that_any_ray_does_not_pass(R: Array, position: Array, s
         assert footprint.size == 0 or z <= footprint.min() - 2.0 * sigma_m + 1e-4
 
 
-def found_free(found: Evidence) -> Array:
+def found_free(found: Evidence) -> Mask:
     return np.asarray(found.log_odds < 0.0)
 
 
