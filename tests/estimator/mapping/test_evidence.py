@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from dronevio.estimator.mapping.evidence import FREE_LOG_ODDS, HOLE_PX, OCCUPIED_LOG_ODDS, Evidence, evidence
 from dronevio.estimator.mapping.nearest_depth import NearestDepths
-from dronevio.models.arrays import Array, Floats
+from dronevio.models.arrays import Array, Floats, Mask
 from dronevio.models.rotation import exp_so3
 from tests.estimator.mapping.scenes import CAMERA, EUROC_HALF, image, pose, wall, with_box, with_pole
 
