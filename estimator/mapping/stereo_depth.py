@@ -98,9 +98,8 @@ class StereoDepth:
         disparity = coarse + step
         known &= (disparity > 0.0) & (np.abs(step) <= MAX_STEP_PX) & (sigma <= MAX_SIGMA_PX)
         # A match outside the right image is none
-        known &= (
-            cv2.remap(self._masks[1], self._columns - disparity, self._rows, cv2.INTER_NEAREST) & self._masks[0] > 0
-        )
+        in_right = cv2.remap(self._masks[1], self._columns - disparity, self._rows, cv2.INTER_NEAREST)
+        known &= (np.asarray(in_right) > 0) & (self._masks[0] > 0)
         cut, beside = edges(np.where(known, coarse, np.float32(0.0)), coarse)
         known &= ~cut
         known &= ~speckles(np.where(known, disparity, np.float32(0.0)))
