@@ -104,12 +104,6 @@ class MapRun:
         return np.asarray(T_odom_imu @ inverse_pose(true.Ts_world_imu[0]))
 
 
-def with_source(rig_mapper: DenseMapper, source: object) -> DenseMapper:
-    """Return a map with another source of depth."""
-    rig_mapper._source = source  # type: ignore[assignment]
-    return rig_mapper
-
-
 def true_estimates(recording: Recording) -> Iterator[tuple[CameraFrame, Estimate]]:
     """Yield the frames of a recording with their true poses."""
     assert recording.ground_truth is not None
@@ -150,8 +144,12 @@ def runs_of(
         Maps of stereo depth on true poses, of stereo depth on estimated poses, and of true depth on true poses.
     """
     stereo, rig = SharedDepth(depth_source(recording.rig)), recording.rig
-    sources = {"true poses": stereo, "estimate": stereo, "true depth": TrueDepth(folder, rig.cameras[0])}
-    runs = {name: MapRun(with_source(DenseMapper(rig, config), source)) for name, source in sources.items()}
+    sources: dict[str, DepthSource] = {
+        "true poses": stereo,
+        "estimate": stereo,
+        "true depth": TrueDepth(folder, rig.cameras[0]),
+    }
+    runs = {name: MapRun(DenseMapper(rig, config, source)) for name, source in sources.items()}
     assert recording.ground_truth is not None
     true, rows = interpolate(recording.ground_truth, recording.frame_times_ns)
     poses = dict(zip(recording.frame_times_ns[rows].tolist(), true.Ts_world_imu, strict=True))

@@ -16,7 +16,6 @@ from dense_map_runs import (
     slam_estimates,
     true_estimate,
     true_estimates,
-    with_source,
 )
 from dense_map_truth import moved_points, random_bearings
 from measuring import Row, opened, text
@@ -376,18 +375,17 @@ def long_rows(scenarios: Sequence[Scenario], rig: Rig, config: DenseMapConfig) -
     model, R = rig.cameras[0].model, np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     f = 0.5 * model.central_focal_px[0]
     camera = Pinhole(376, 240, np.array([[f, 0.0, 187.5], [0.0, f, 119.5], [0.0, 0.0, 1.0]]))
-    run, number, image = MapRun(DenseMapper(rig, config)), 0, np.zeros((480, 752), np.uint8)
+    given = _Given()
+    run, number, image = MapRun(DenseMapper(rig, config, given)), 0, np.zeros((480, 752), np.uint8)
     times, start_mb = [], rss_mb()
     for storey, scenario in enumerate(scenarios):
         T_odom_world = pose_matrix(np.eye(3), np.array([0.0, 0.0, storey * STOREY_M]))
         caster = RayCaster(scenario.world, scenario.seed_of_world)
         source = CastDepth(caster, camera, pose_matrix(R, np.zeros(3)), inverse_pose(T_odom_world))
-        with_source(run.mapper, source)
         for T_world_imu in long_poses(scenario, 60.0 * MINUTES / len(scenarios)):
             t_ns = round(1e9 * number / _LONG_RATE_HZ)
             estimate = true_estimate(t_ns, T_odom_world @ T_world_imu)
-            depth = source.depth(CameraFrame(t_ns, (image, image)), estimate)
-            with_source(run.mapper, _Given(depth))
+            given.image = source.depth(CameraFrame(t_ns, (image, image)), estimate)
             before = time.process_time()
             run.add(CameraFrame(t_ns, (image, image)), estimate)
             times.append(time.process_time() - before)
@@ -415,11 +413,11 @@ def long_rows(scenarios: Sequence[Scenario], rig: Rig, config: DenseMapConfig) -
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Given:
     """A depth source that returns a given image."""
 
-    image: DepthImage | None
+    image: DepthImage | None = None
 
     def depth(self, frame: CameraFrame, estimate: Estimate) -> DepthImage | None:
         """Return the image."""

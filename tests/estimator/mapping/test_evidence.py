@@ -14,7 +14,7 @@ from tests.estimator.mapping.scenes import CAMERA, EUROC_HALF, image, pose, wall
 CELL_M = 0.1
 
 
-def in_camera(found: Evidence, selected: Array, T_odom_cam: Array, cell_m: float = CELL_M) -> Array:
+def in_camera(found: Evidence, selected: Mask, T_odom_cam: Array, cell_m: float = CELL_M) -> Array:
     """Return all corners (N, 8, 3) of selected cells in the camera frame."""
     offsets = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     corners = ((np.argwhere(selected) + found.low)[:, None] + offsets) * cell_m
