@@ -151,7 +151,7 @@ def map(
     Its users know it as ``dv.map``, so that it has the name of a built-in function of Python in this module.
 
     Args:
-        recording: A recording with a stereo pair, or the path of one. Where its clock steps, the longest part is used.
+        recording: A recording, or the path of one. Where its clock steps, the longest part is used.
         config: Settings of the map: the side of its cells and the range of depths.
         slam: Whether loops correct the map (`VisualSlam`); otherwise it drifts as the odometry does.
         estimator: Settings of the odometry.
@@ -160,7 +160,7 @@ def map(
 
     Raises:
         InputError: The recording cannot be read.
-        ConfigError: An argument is of another type, or the recording has no stereo pair.
+        ConfigError: An argument is of another type, or the recording has no camera.
         EvaluationError: The estimator has no pose, or no depth has entered the map.
     """
     source = open_recording(Path(recording), repair=True) if isinstance(recording, str | Path) else recording

@@ -55,10 +55,11 @@ class DenseMapper:
         Args:
             rig: The calibration of the cameras.
             config: Settings.
-            source: Computes depth images; by default from the best stereo pair of the rig.
+            source: Computes depth images; by default from the best stereo pair of the rig, or from the
+                motion of its camera.
 
         Raises:
-            ConfigError: There is no source, and the rig has no stereo pair.
+            ConfigError: There is no source, and the rig has no camera.
         """
         self._config = c = config or DenseMapConfig()
         self._source = source or depth_source(rig)

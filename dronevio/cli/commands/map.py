@@ -44,10 +44,10 @@ BAND_M = 0.3
 
 @dataclass(frozen=True)
 class MapCommand(Settings):
-    """Map what is free, occupied and unknown along a recording with a stereo pair, and the surfaces that it shows.
+    """Map what is free, occupied and unknown along a recording, and the surfaces that it shows.
 
-    The estimator runs on the recording, and stereo depth enters the map at the estimated poses. Loops correct the map,
-    unless --no-slam is given. True poses are not used.
+    The estimator runs on the recording, and depth from a stereo pair, or from the motion of one camera, enters the map
+    at the estimated poses. Loops correct the map, unless --no-slam is given. True poses are not used.
 
     The result is a folder with report.html, the surfaces as mesh.ply and points.ply, the occupied, free and unknown
     cells as occupancy.npz and, in a band of heights, as a map of ROS (map.pgm, map.yaml), the path as map.tum, and
@@ -128,7 +128,7 @@ def _opened(command: MapCommand) -> "StoredRecording":
 
     Raises:
         InputError: It cannot be read.
-        ConfigError: An option does not fit it, or it has no stereo pair.
+        ConfigError: An option does not fit it, or it has no camera.
     """
     from dronevio.models.recordings.segments import segments_of
 
