@@ -2,6 +2,7 @@
 
 import os
 import platform
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -61,3 +62,13 @@ class RunInfo:
     """Versions of Python and of `PACKAGES`."""
     machine: dict[str, str] = field(default_factory=machine_here)
     """System, processor and number of cores."""
+
+    @property
+    def sections(self) -> list[tuple[str, Mapping[str, object], bool]]:
+        """Titles and contents of the sections of a report, and whether each is open at first."""
+        return [
+            ("Run", {"command": self.command}, True),
+            ("Configuration", self.configuration, False),
+            ("Versions", self.versions, False),
+            ("Machine", self.machine, False),
+        ]

@@ -99,15 +99,7 @@ def write_dense_report(folder: Path, info: RunInfo, results: DenseResults) -> No
         photographs=list(_photographs(results)),
         times=_time_table(results),
         open_command=info.open_command,
-        provenance=[
-            (title, content, title == "Run")
-            for title, content in (
-                ("Run", {"command": info.command}),
-                ("Configuration", info.configuration),
-                ("Versions", info.versions),
-                ("Machine", info.machine),
-            )
-        ],
+        provenance=info.sections,
     )
     write_text(folder / "report.html", page)
     write_bytes(folder / "dense.jpg", jpeg(points, quality=90))

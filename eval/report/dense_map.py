@@ -174,15 +174,7 @@ def write_dense_map_report(folder: Path, info: RunInfo, results: DenseMapResults
         figures=Table("Figures", ("quantity", "value"), rows),
         band_m=results.band_m,
         open_command=info.open_command,
-        provenance=[
-            (title, content, title == "Run")
-            for title, content in (
-                ("Run", {"command": info.command}),
-                ("Configuration", info.configuration),
-                ("Versions", info.versions),
-                ("Machine", info.machine),
-            )
-        ],
+        provenance=info.sections,
     )
     write_text(folder / "report.json", json.dumps(values, indent=2, ensure_ascii=False) + "\n")
     write_text(folder / "report.html", page)
