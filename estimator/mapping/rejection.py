@@ -24,7 +24,7 @@ BETWEEN_PX = 15
 """Largest distance on each side to a depth that supports a borrowed one [px]."""
 BESIDE_PX = 24
 """Distance from an edge within which a disparity may be that of the other surface [px]."""
-OTHER_SURFACE = 0.004
+OTHER_SURFACE = 0.0035
 """Probability of that."""
 HOLE_PX = 9
 """Side of the holes in the disparities that are no gaps, behind which there may be another surface [px]."""

@@ -21,7 +21,7 @@ from dronevio.models.state import CameraFrame, Estimate
 
 NEAREST_M = 0.4
 """Smallest depth that is searched [m]."""
-FLOOR_PX = 0.07
+FLOOR_PX = 0.06
 """Standard deviation of the disparity by calibration and interpolation [px]."""
 MAX_SIGMA_PX = 0.6
 """Largest standard deviation of a disparity that is used [px]."""
