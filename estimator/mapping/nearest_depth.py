@@ -27,13 +27,9 @@ class NearestDepths:
     reach_px: Integers
     """(L,) Distance from any pixel of the middle block to which each window reaches at least [px]."""
     least: Values
-    """(N,) Least values of each window around each block; 0 where it leaves the image."""
-    first: Pixels
-    """(L,) Index of the first value of each window."""
-    width: Pixels
-    """(L,) Number of blocks in a row."""
-    shift: Pixels
-    """(L,) Binary logarithm of the side of the blocks [px]."""
+    """(N, W) Least value of each window around each block, one window below the other; 0 where it leaves the image."""
+    place: Integers
+    """(L,) Index of the first value of each window, times 16, plus the binary logarithm of the side of its blocks."""
 
     @staticmethod
     def of(values: Values, least_px: float) -> "NearestDepths":
@@ -43,24 +39,23 @@ class NearestDepths:
             values: (H, W) Values.
             least_px: Half side of the smallest footprint that will be asked for [px].
         """
-        most, radius, shift = _MOST_OF_IMAGE * len(values), max(1, int(np.ceil(least_px))), 0
-        levels: list[tuple[int, Values, int]] = []
-        while not levels or radius <= most:
+        most, width, shift = _MOST_OF_IMAGE * len(values), values.shape[1], 0
+        radius, reach, place, images, first = max(1, int(np.ceil(least_px))), [], [], [], 0
+        while not images or radius <= most:
             while _LEAST_BLOCKS << (shift + 1) <= radius:
                 values, shift = halved(values), shift + 1
             blocks = -(-radius >> shift)
             window = np.ones((2 * blocks + 1, 2 * blocks + 1), np.uint8)
-            least = cv2.erode(values, window, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-            levels.append((blocks << shift, np.asarray(least, np.uint16), shift))
+            images.append(cv2.erode(values, window, borderType=cv2.BORDER_CONSTANT, borderValue=0))
+            reach.append(blocks << shift)
+            place.append(first << 4 | shift)
+            first += len(values) * width
             radius = (blocks + 1) << shift
-        reach, images, shifts = zip(*levels, strict=True)
-        return NearestDepths(
-            np.array(reach),
-            np.concatenate([image.ravel() for image in images]),
-            np.cumsum([0, *(image.size for image in images[:-1])]).astype(np.int32),
-            np.array([image.shape[1] for image in images], np.int32),
-            np.array(shifts, np.int32),
-        )
+        least = np.zeros((first // width, width), np.uint16)
+        for at, image in zip(place, images, strict=True):
+            row = (at >> 4) // width
+            least[row : row + image.shape[0], : image.shape[1]] = image
+        return NearestDepths(np.array(reach), least, np.array(place))
 
     def at(self, column: Pixels, row: Pixels, radius_px: Pixels) -> Values:
         """Return the least values (N,) in windows around pixels.
@@ -71,8 +66,9 @@ class NearestDepths:
             radius_px: (N,) Half sides of the windows, at most the largest of ``reach_px`` [px].
         """
         level = np.searchsorted(self.reach_px, np.arange(self.reach_px[-1] + 1))  # of each radius
-        first, width, shift = (np.take(of_level[level], radius_px) for of_level in (self.first, self.width, self.shift))
-        return np.asarray(np.take(self.least, first + (row >> shift) * width + (column >> shift)))
+        place = np.take(self.place[level].astype(np.int32), radius_px)
+        shift = place & 15
+        return np.asarray(np.take(self.least, (place >> 4) + (row >> shift) * self.least.shape[1] + (column >> shift)))
 
 
 def halved(values: Values) -> Values:
