@@ -30,7 +30,6 @@ from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.clouds import compare_clouds
 from dronevio.eval.metrics.occupancy import are_falsely_free
 from dronevio.models.arrays import Array, Mask
-from dronevio.models.camera import CameraModel
 from dronevio.models.depth import DepthImage, Pinhole
 from dronevio.models.imu import Times
 from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, PlacedSubmap
@@ -102,26 +101,23 @@ def mover_rows(folder: Path, config: DenseMapConfig) -> list[Row]:
     camera, rng = recording.rig.cameras[0], np.random.default_rng(0)
     caster = RayCaster(world, seed)
     static = surface_points(world, seed, 0.05).points_m
-    run = MapRun(DenseMapper(recording.rig, config))
-    cell_m = config.cell_m
+    mapper, cell_m = DenseMapper(recording.rig, config), config.cell_m
     swept: dict[tuple[int, ...], list[float]] = {}  # time of the newest trace in a cell, and of the newest view of it
     still: dict[float, list[tuple[bool, bool]]] = {age: [] for age in AGES_S}
     near = _cells(static, cell_m, 2)
     for frame, estimate in true_estimates(recording):
-        T_world_imu = estimate.T_odom_imu
-        if not run.add(frame, estimate) or T_world_imu is None or run.mapper.local_map is None:
+        T_world_imu, depth = estimate.T_odom_imu, mapper.add_frame(frame, estimate)
+        if depth is None or T_world_imu is None or mapper.local_map is None:
             continue
         t_s, T_world_cam = 1e-9 * frame.t_ns, T_world_imu @ camera.T_imu_cam
         points = moved_points(caster, T_world_cam, random_bearings(camera, rng), t_s, config.range_m)
         for cell in set(map(tuple, np.floor(points / cell_m).astype(int).tolist())) - near:
             swept[cell] = [t_s, 0.0]
-        grid, cells = run.mapper.local_map, list(swept)
+        grid, cells = mapper.local_map, list(swept)
         if not cells:
             continue
         centres = (np.array(cells) + 0.5) * cell_m
-        for cell, seen in zip(
-            cells, _are_seen(caster, camera.model, T_world_cam, centres, t_s, config.range_m), strict=True
-        ):
+        for cell, seen in zip(cells, _are_seen(caster, depth, centres, t_s, config), strict=True):
             swept[cell][1] += float(seen)
         states = grid.at(centres)
         for cell, state in zip(cells, states.tolist(), strict=True):
@@ -132,6 +128,8 @@ def mover_rows(folder: Path, config: DenseMapConfig) -> list[Row]:
     rows: list[Row] = []
     for age, found in still.items():
         occupied, again = np.array(found, bool).reshape(-1, 2).T
+        if not again.any():
+            continue
         rows.append(
             {
                 "after": f"{age:g} s",
@@ -152,21 +150,20 @@ def _cells(points: Array, cell_m: float, margin: int) -> set[tuple[int, ...]]:
     return set(map(tuple, np.unique((cells[:, None] + around).reshape(-1, 3), axis=0).tolist()))
 
 
-def _are_seen(
-    caster: RayCaster, model: CameraModel, T_world_cam: Array, points: Array, t_s: float, range_m: float
-) -> Array:
-    """Return which points (N, 3) the camera sees through, as a mask (N,): nothing is in front of them or in them."""
-    rays = (points - T_world_cam[:3, 3]) @ T_world_cam[:3, :3]
+def _are_seen(caster: RayCaster, depth: DepthImage, centres: Array, t_s: float, config: DenseMapConfig) -> Mask:
+    """Return which cells (N,) a depth image shows to the edges, with nothing in front of their centres or in them."""
+    camera, T = depth.camera, depth.T_odom_cam
+    rays, reach_m = (centres - T[:3, 3]) @ T[:3, :3], 0.5 * np.sqrt(3.0) * config.cell_m
     distance = np.linalg.norm(rays, axis=1)
-    pixels = model.project(rays)
-    with np.errstate(invalid="ignore"):
-        size = [model.width - 1.0, model.height - 1.0]
-        inside = (rays[:, 2] > 0.2) & (rays[:, 2] < range_m - 0.5) & np.all((pixels > 0.0) & (pixels < size), axis=1)
-    seen = np.zeros(len(points), bool)
-    if inside.any():
-        ranges = caster.ranges_m(T_world_cam[None], rays[inside] / distance[inside, None], 40.0, t_s)[0]
-        seen[inside] = ranges > distance[inside] + 0.3
-    return seen
+    seen = (rays[:, 2] > 0.4) & (rays[:, 2] < config.range_m - reach_m)
+    pixels = rays[seen] @ camera.K.T / rays[seen, 2:]
+    edge_px = reach_m * camera.K[0, 0] / (rays[seen, 2:] - reach_m)
+    size = np.array([camera.width, camera.height])
+    seen[seen] = np.all((pixels[:, :2] > edge_px) & (pixels[:, :2] < size - 1.0 - edge_px), axis=1)
+    if seen.any():
+        bearings = rays[seen] / distance[seen, None]
+        seen[seen] = caster.ranges_m(T[None], bearings, 40.0, t_s)[0] > distance[seen] + 0.3
+    return np.asarray(seen)
 
 
 # --- a loop

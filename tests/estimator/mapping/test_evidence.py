@@ -5,7 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dronevio.estimator.mapping.evidence import FREE_LOG_ODDS, HOLE_PX, OCCUPIED_LOG_ODDS, Evidence, evidence
+from dronevio.estimator.mapping.evidence import (
+    FREE_LOG_ODDS,
+    FREE_SIGMAS,
+    HOLE_PX,
+    OCCUPIED_LOG_ODDS,
+    Evidence,
+    evidence,
+)
 from dronevio.estimator.mapping.nearest_depth import NearestDepths
 from dronevio.models.arrays import Array, Floats, Mask
 from dronevio.models.rotation import exp_so3
@@ -57,7 +64,7 @@ def test_nothing_is_free_that_any_ray_does_not_pass(R: Array, position: Array, s
     deepest = corners[..., 2].max(axis=1)
     for a, b, c, d, z in zip(first_u, last_u, first_v, last_v, deepest, strict=True):
         footprint = depth[c : d + 1, a : b + 1]
-        assert footprint.size == 0 or z <= footprint.min() - 2.0 * sigma_m + 1e-4
+        assert footprint.size == 0 or z <= footprint.min() - FREE_SIGMAS * sigma_m + 1e-4
 
 
 def found_free(found: Evidence) -> Mask:
@@ -147,7 +154,7 @@ def test_only_a_small_hole_is_closed(side_px: int, expected: float) -> None:
 def test_a_hole_has_the_nearest_depth_beside_it() -> None:
     depth = wall(3.95, EUROC_HALF)
     depth[:, 194:] = 2.0
-    holed = with_hole(depth, slice(181, 194), slice(113, 126))
+    holed = with_hole(depth, slice(182, 193), slice(114, 125))
     found = evidence(image(holed, pose((0.0, 0.0, 0.0)), 0.0, EUROC_HALF), 0.05, 4.0)
     assert value_at(found, (1.525, 0.0, 0.0), 0.05) == pytest.approx(FREE_LOG_ODDS)
     assert value_at(found, (3.025, 0.0, 0.0), 0.05) == 0.0
