@@ -12,7 +12,7 @@ import dronevio as dv
 from dronevio.cli import main
 from dronevio.estimator.mapping.keyframe_depths import KeyframeDepths
 from dronevio.estimator.mapping.surfaces import surfaces
-from dronevio.eval.report.map_pictures import plot_from_above, vertical_slice
+from dronevio.eval.report.map_pictures import dense_line, plot_from_above, vertical_slice
 from dronevio.models.depth import DepthImage, Pinhole
 from dronevio.models.occupancy import FREE, OCCUPIED, OccupancyGrid
 from dronevio.models.occupancy_maps import read_occupancy, read_ros_map
@@ -75,6 +75,21 @@ def test_pictures_of_small_grids() -> None:
     for states in (np.zeros((1, 1, 1), np.uint8), np.full((3, 4, 2), FREE, np.uint8), np.full((2, 2, 2), 2, np.uint8)):
         grid = OccupancyGrid(np.zeros(3), 0.1, states)
         assert plot_from_above(grid, path).startswith("<svg") and vertical_slice(grid, path).startswith("<svg")
+
+
+def test_the_vertical_slice_is_not_within_a_wall() -> None:
+    states = np.zeros((8, 6, 5), np.uint8)
+    states[0], states[4, :, 1:4] = OCCUPIED, FREE
+    grid = OccupancyGrid(np.zeros(3), 0.1, states)
+    picture = vertical_slice(grid, np.array([[0.4, 0.1, 0.2], [0.4, 0.5, 0.2]]))
+    assert re.search(r"Vertical slice at (x = 0.5|x = 0.4) m", picture)
+
+
+def test_points_along_a_path_leave_out_its_rests() -> None:
+    path = np.repeat([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [50, 50], axis=0)
+    along = dense_line(path, 0.25)
+    np.testing.assert_allclose(along[:, 2], [0.0, 0.25, 0.5, 0.75])
+    assert len(dense_line(path[:1], 0.25)) == len(dense_line(path[:50], 0.25)) == 1
 
 
 @pytest.fixture(scope="module")
