@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -139,6 +140,17 @@ def test_map_from_python_without_slam(recording: Path) -> None:
     result = dv.map(recording, dv.DenseMapConfig(cell_m=0.2), slam=False)
     assert result.run.map is None and result.occupancy.cell_m == 0.2 and len(result.mesh.triangles) > 50
     assert result.volume_m3(FREE) > 1.0 and len(result.depth_cpu_ms) > 10
+
+
+def test_one_camera(flown: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The motion of one camera gives fewer depth images, which show free space and surfaces beside it."""
+    out = tmp_path / "map"
+    words = ["--cameras", "1", "--no-slam", "--cell-m", "0.2", "--json"]
+    assert main(["map", str(flown.folder), "--out", str(out), *words]) == 0
+    summary, grid = json.loads(capsys.readouterr().out), read_occupancy(out / "occupancy.npz")
+    assert 3 < summary["depth_images"] < summary["frames"] / 4
+    assert summary["free_m3"] > 1.0 and summary["occupied_m3"] > 0.1
+    assert not np.any(grid.at(read_tum(out / "map.tum").p_world_imu) == OCCUPIED)
 
 
 @pytest.mark.parametrize(
