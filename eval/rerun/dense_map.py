@@ -179,12 +179,12 @@ def dense_map_file(path: Path, recording: Recording) -> Iterator[DenseMapLog]:
 @contextmanager
 def dense_map_viewer(url: str, recording: Recording) -> Iterator[DenseMapLog]:
     """Show a map in a viewer at a URL such as ``rerun+http://127.0.0.1:9876/proxy`` while it grows."""
-    with Sink.to_viewer(url, recording.name, _blueprint(), first_time_ns(recording)) as sink:
+    with Sink.to_viewer(url, recording.name, _blueprint(is_live=True), first_time_ns(recording)) as sink:
         yield DenseMapLog(sink)
 
 
-def _blueprint() -> rrb.Blueprint:
-    """Return the layout: the map on the left, beside the image and its depths; the final mesh in a tab."""
+def _blueprint(*, is_live: bool = False) -> rrb.Blueprint:
+    """Return the layout: the map on the left, beside the image, its depths and the final mesh; live, the newest time."""
     beginning, cursor = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.cursor_relative()
     so_far = rrb.VisibleTimeRanges(timeline=TIMELINE, start=beginning, end=cursor)
     growing = rrb.Spatial3DView(
@@ -204,7 +204,12 @@ def _blueprint() -> rrb.Blueprint:
         rrb.Horizontal(growing, images, column_shares=[1.9, 1.0]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, loop_mode="all"),
+        rrb.TimePanel(
+            state="collapsed",
+            timeline=TIMELINE,
+            loop_mode="off" if is_live else "all",
+            play_state="following" if is_live else None,
+        ),
         auto_views=False,
         auto_layout=False,
     )
