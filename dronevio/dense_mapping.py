@@ -27,7 +27,7 @@ from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.segments import segments_of
-from dronevio.models.state import CameraFrame, Estimate, Trajectory
+from dronevio.models.state import CameraFrame, Estimate, Health, Trajectory
 from dronevio.models.surfaces import Mesh, PointCloud
 
 DepthListener = Callable[[DepthImage, Estimate, DenseMapper], None]
@@ -121,9 +121,11 @@ def map_recording(
     trajectory = require_poses(run, recording)
     kept, occupancy = observer.depths.kept, mapper.fused()
     if occupancy is None or not (occupancy.states == OCCUPIED).any():
+        tracked = sum(each.health is Health.TRACKING for each in run.estimates)
         raise EvaluationError(
-            f"{recording.name}: no surface within {config.range_m:g} m in {len(observer.cpu_ms)} depth images; expected"
-            " textured surfaces within --range-m"
+            f"{recording.name}: no surface within {config.range_m:g} m in {len(observer.cpu_ms)} depth images, of"
+            f" {tracked} frames that were tracked among {len(run.estimates)}; expected textured surfaces within"
+            " --range-m, and with one camera, motion"
         )
     Ts_map_odom = _corrections(run, np.array([depth.t_ns for depth in kept], dtype=np.int64))
     joined = np.flatnonzero(np.isfinite(Ts_map_odom[:, 0, 0]))

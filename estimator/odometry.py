@@ -85,7 +85,7 @@ class VisualInertialOdometry:
         events = tuple(event for due in parts.queue.add(frame) for event in self._process(due).events)
         # The newest of them at the time stamp of the frame, by the clock of the cameras
         newest = replace(self._state.estimate, events=events, track=self._state.phase.track)
-        estimate = parts.pipeline.at_stamp(newest, frame, parts.noise.params)
+        estimate = parts.pipeline.published(newest, frame, parts.calibration, parts.noise.params)
         # States between frames continue from it
         if estimate.state is not None:
             parts.imu_rate.correct(estimate)

@@ -155,19 +155,32 @@ class MeasurementPipeline:
         """(3,) Angular velocity of the IMU at the newest frame, bias removed [rad/s]."""
         return self._exposure.angular_velocity_rad_s
 
-    def at_stamp(self, estimate: Estimate, frame: CameraFrame, params: PreintegrationParams) -> Estimate:
-        """Return the estimate of the newest frame at the time stamp of a frame, by the clock of the cameras.
+    def published(
+        self, estimate: Estimate, frame: CameraFrame, calibration: Calibration, params: PreintegrationParams
+    ) -> Estimate:
+        """Return the estimate of the newest frame at the time stamp of a frame, with the state at its exposure.
 
         Args:
-            estimate: The estimate of the newest frame.
+            estimate: The estimate of the newest frame, at its time by the clock of the IMU.
             frame: That frame, or a later one that waits for its IMU samples.
+            calibration: The calibration in use.
             params: The noise of the IMU.
         """
-        state, later_s = estimate.state, (frame.t_ns - estimate.t_ns) * 1e-9
+        is_newest = frame.t_ns == self._last_frame_ns
+        t_ns = estimate.t_ns if is_newest else self._exposure.imu_time_ns(frame.t_ns, calibration)
+        exposed_ns = t_ns + round(calibration.time_offset_correction_s * 1e9)
+        exposed = self._at(estimate, exposed_ns, params).state
+        if exposed is not None:
+            exposed = replace(exposed, angular_velocity_rad_s=self.angular_velocity_rad_s)
+        return replace(self._at(estimate, frame.t_ns, params), exposed=exposed, rig=calibration.timed_rig)
+
+    def _at(self, estimate: Estimate, t_ns: int, params: PreintegrationParams) -> Estimate:
+        """Return the estimate of the newest frame at a time by the clock of the IMU."""
+        state, later_s = estimate.state, (t_ns - estimate.t_ns) * 1e-9
         if state is None or later_s <= MAX_EXTRAPOLATION_S:
-            return self._exposure.at_stamp(estimate, frame.t_ns)
+            return self._exposure.at_time(estimate, t_ns)
         state = propagated(state, self._buffer.ahead(later_s, held=True), params, self._imu)
-        return replace(estimate, t_ns=frame.t_ns, state=replace(state, t_ns=frame.t_ns))
+        return replace(estimate, t_ns=t_ns, state=replace(state, t_ns=t_ns))
 
     def _at_frame_time(self, observations: Observations, calibration: Calibration) -> Observations:
         return self._exposure.at_frame_time(calibration.normalized(observations), calibration)

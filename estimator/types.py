@@ -123,6 +123,12 @@ class Calibration:
     """Correction of the magnitude of gravity [m/s²], to be added to the given one."""
 
     @cached_property
+    def timed_rig(self) -> Rig:
+        """The rig with the corrected time offset; the given one without a correction of it."""
+        by_s = self.time_offset_correction_s
+        return replace(self.rig, time_offset_s=self.rig.time_offset_s + by_s) if by_s else self.rig
+
+    @cached_property
     def Ts_imu_cam(self) -> Array:
         """(C, 4, 4) Poses of the cameras in the IMU frame."""
         return np.stack([camera.T_imu_cam for camera in self.rig.cameras])

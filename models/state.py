@@ -14,6 +14,7 @@ from dronevio.models.defects import Defect
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
 from dronevio.models.map_correction import MapCorrection
+from dronevio.models.rig import Rig
 from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix, quat_wxyz_from_matrix
 
 NO_IMAGE: npt.NDArray[np.uint8] = np.zeros((0, 0), np.uint8)
@@ -187,6 +188,12 @@ class Estimate:
     """Poses of the odometry frames of all tracks in the map frame, at the time stamps of the keyframes of the map; they
     change when a loop is closed, together with `T_map_odom`. Estimates share it until it changes. None from estimators
     without a map, and in stored runs."""
+    exposed: NavState | None = None
+    """State in the middle of the exposure of the frame, in the odometry frame, by the time offset as it is estimated; a
+    camera may be exposed later by a time of its own. None without a state, and from estimators that leave it out."""
+    rig: Rig | None = None
+    """The calibration with the time offset and the poses of the cameras as they are estimated, and the given lenses.
+    Estimates share it until it changes. None from estimators that take the given one as true."""
 
     @property
     def T_odom_imu(self) -> Array | None:

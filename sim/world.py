@@ -134,6 +134,17 @@ def build_world(
     )
 
 
+@lru_cache(maxsize=4)
+def _layout(name: str, seed: int) -> Layout:
+    """Return the layout of a world in its own light, which several functions of this module need one after another.
+
+    Raises:
+        ConfigError: The world is unknown.
+    """
+    require_world(name)
+    return WORLDS[name].layout(_generators(seed)[0])
+
+
 @lru_cache(maxsize=8)
 def flight_area(name: str, seed: int) -> FlightArea:
     """Return what a path planner needs of a world, without painting its textures, which takes seconds.
@@ -141,8 +152,7 @@ def flight_area(name: str, seed: int) -> FlightArea:
     Raises:
         ConfigError: The world is unknown.
     """
-    require_world(name)
-    layout = WORLDS[name].layout(_generators(seed)[0])
+    layout = _layout(name, seed)
     return FlightArea(space_of(layout), layout.free_box, layout.pad, layout.route, layout.gates)
 
 
@@ -157,8 +167,11 @@ def illumination_and_movers(name: str, seed: int, light_seed: int | None = None)
     Raises:
         ConfigError: The world is unknown.
     """
-    require_world(name)
-    layout = drawn_layout(WORLDS[name], _generators(seed)[0], _light(light_seed))
+    if light_seed is None:
+        layout = _layout(name, seed)
+    else:
+        require_world(name)
+        layout = drawn_layout(WORLDS[name], _generators(seed)[0], _light(light_seed))
     return layout.illumination, _movers(layout)
 
 
@@ -170,8 +183,7 @@ def collision_spec(name: str, seed: int) -> mujoco.MjSpec:
     Raises:
         ConfigError: The world is unknown.
     """
-    require_world(name)
-    spec, layout = mujoco.MjSpec(), WORLDS[name].layout(_generators(seed)[0])
+    spec, layout = mujoco.MjSpec(), _layout(name, seed)
     add_collision_geoms(spec, layout)
     add_moving_geoms(spec, layout)
     return spec
@@ -186,8 +198,7 @@ def solid_space(name: str, seed: int) -> Space:
     Raises:
         ConfigError: The world is unknown.
     """
-    require_world(name)
-    return solid_space_of(WORLDS[name].layout(_generators(seed)[0]))
+    return solid_space_of(_layout(name, seed))
 
 
 def instance_spec(name: str, seed: int) -> mujoco.MjSpec:
@@ -199,8 +210,7 @@ def instance_spec(name: str, seed: int) -> mujoco.MjSpec:
     Raises:
         ConfigError: The world is unknown.
     """
-    require_world(name)
-    return assembled_instances(WORLDS[name].layout(_generators(seed)[0]))
+    return assembled_instances(_layout(name, seed))
 
 
 def visible_quads(name: str, seed: int) -> dict[str, Array]:
@@ -209,8 +219,7 @@ def visible_quads(name: str, seed: int) -> dict[str, Array]:
     Raises:
         ConfigError: The world is unknown.
     """
-    require_world(name)
-    return instance_quads(WORLDS[name].layout(_generators(seed)[0]))
+    return instance_quads(_layout(name, seed))
 
 
 def scenery_of(name: str, seed: int, light_seed: int | None = None) -> Scenery:

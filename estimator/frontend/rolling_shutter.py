@@ -174,28 +174,28 @@ class ExposureCompensation:
         xy = rays[:, :2] + later_s[:, None] * np.nan_to_num(flow)
         return self._rotated(calibration, observations.camera, xy, delay_s + later_s, inverse=True)[:, :2]
 
-    def at_stamp(self, estimate: Estimate, stamp_ns: int) -> Estimate:
-        """Return the estimate of a frame at the frame's time stamp, propagated from the time of the frame.
+    def at_time(self, estimate: Estimate, t_ns: int) -> Estimate:
+        """Return the estimate of a frame at another time by the IMU's clock, such as that which its time stamp states.
 
-        The times differ by the rig's given time offset and by the error of the stamp. The rotation is exact; position
-        and velocity are of third order in the difference.
+        The times differ by the rig's time offset and by the error of the stamp. The rotation is exact; position and
+        velocity are of third order in the difference.
         """
-        state, by_s = estimate.state, (stamp_ns - estimate.t_ns) * 1e-9
+        state, by_s = estimate.state, (t_ns - estimate.t_ns) * 1e-9
         if by_s == 0.0:
             return estimate
         if state is None:
-            return replace(estimate, t_ns=stamp_ns)
+            return replace(estimate, t_ns=t_ns)
         R = state.T_world_imu[:3, :3]
         accel = R @ (self._accel_m_s2 - state.accel_bias_m_s2) - [0.0, 0.0, self._gravity_m_s2]
         p = state.T_world_imu[:3, 3] + by_s * state.velocity_m_s + 0.5 * by_s**2 * accel
         R_then = R @ exp_so3(self._rotation.at(np.array([by_s])))[0]
         state = replace(
             state,
-            t_ns=stamp_ns,
+            t_ns=t_ns,
             T_world_imu=pose_matrix(R_then, p),
             velocity_m_s=state.velocity_m_s + by_s * accel,
         )
-        return replace(estimate, t_ns=stamp_ns, state=state)
+        return replace(estimate, t_ns=t_ns, state=state)
 
     def _camera_delays_s(self, calibration: Calibration) -> Array:
         """Return the delays (C,) of the cameras' middle rows relative to the frame, if the clock is right [s]."""

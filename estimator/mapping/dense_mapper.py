@@ -19,6 +19,9 @@ from dronevio.models.occupancy import DistanceField, OccupancyGrid, PlacedSubmap
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, Health
 
+_EARLY_NS = 1_000_000
+"""How much earlier than it is due a frame enters the map, for time stamps that jitter [ns]."""
+
 
 @dataclass(eq=False)
 class _Track:
@@ -67,7 +70,7 @@ class DenseMapper:
         self._track: _Track | None = None
         self._newest: Estimate | None = None
         self._begun = 0
-        self._last_ns: int | None = None
+        self._due_ns: int | None = None  # time from which on a frame enters the map
 
     def add_frame(self, frame: CameraFrame, estimate: Estimate) -> DepthImage | None:
         """Add a frame with its estimate; return its depth image, None if the frame does not enter the map."""
@@ -76,10 +79,13 @@ class DenseMapper:
         if self._track is not None and estimate.track != self._track.number:  # another odometry frame
             self._store.add(self._track.submap.closed())
             self._track = None
-        due = self._last_ns is None or (frame.t_ns - self._last_ns) * 1e-9 > 1.0 / c.rate_hz - 1e-3
-        if not due or estimate.health is not Health.TRACKING or estimate.T_odom_imu is None:
+        due_ns, period_ns = self._due_ns, round(1e9 / c.rate_hz)
+        is_early = due_ns is not None and frame.t_ns < due_ns - _EARLY_NS
+        if is_early or estimate.health is not Health.TRACKING or estimate.T_odom_imu is None:
             return None
-        self._last_ns = frame.t_ns
+        # The next one is due a period after this one was, so that the mean rate does not depend on that of the frames
+        is_regular = due_ns is not None and frame.t_ns < due_ns + period_ns
+        self._due_ns = period_ns + (due_ns if due_ns is not None and is_regular else frame.t_ns)
         depth = self._source.depth(frame, estimate)
         if depth is not None:
             self.add_depth(depth)

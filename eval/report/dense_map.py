@@ -20,17 +20,25 @@ import numpy as np
 
 from dronevio.eval.images import jpeg
 from dronevio.eval.provenance import RunInfo
-from dronevio.eval.report.map_pictures import horizontal_slice, mesh_picture, plot_from_above, vertical_slice
+from dronevio.eval.report.map_pictures import (
+    dense_line,
+    horizontal_slice,
+    mesh_picture,
+    plot_from_above,
+    ros_layer,
+    vertical_slice,
+)
 from dronevio.eval.report.tables import Cell, Table
 from dronevio.eval.report.templating import Tile, number, render_page
 from dronevio.models.arrays import Array
 from dronevio.models.occupancy import FREE, OCCUPIED, OccupancyGrid, PlacedSubmap
+from dronevio.models.occupancy_maps import layer_of
 from dronevio.models.recordings.files import write_bytes, write_text
 from dronevio.models.state import Trajectory
 from dronevio.models.surfaces import Mesh, PointCloud
 
 FORMAT = "dronevio-map-report/1"
-_SLICES_PERCENT = (5.0, 50.0, 95.0)  # percentiles of the heights of the flight at which slices are drawn
+_SLICES_PERCENT = (10.0, 90.0)  # percentiles of the heights along the path at which slices are drawn
 
 
 @dataclass(frozen=True)
@@ -150,7 +158,8 @@ def write_dense_map_report(folder: Path, info: RunInfo, results: DenseMapResults
     """
     grid, path, figures = results.occupancy, results.trajectory.p_world_imu, results.figures
     picture = jpeg(mesh_picture(results.mesh, path), quality=88) if len(results.mesh.triangles) else b""
-    heights_m = np.unique(np.round(np.percentile(path[:, 2], _SLICES_PERCENT) / grid.cell_m)) * grid.cell_m
+    along = dense_line(path, grid.cell_m)  # without rests, in which a drone stands on the ground
+    heights_m = np.unique(np.round(np.percentile(along[:, 2], _SLICES_PERCENT) / grid.cell_m)) * grid.cell_m
     values = {
         "format": FORMAT,
         "title": info.title,
@@ -170,7 +179,11 @@ def write_dense_map_report(folder: Path, info: RunInfo, results: DenseMapResults
         tiles=list(_tiles(figures)),
         from_above=plot_from_above(grid, path),
         mesh_base64=base64.b64encode(picture).decode("ascii"),
-        slices=[horizontal_slice(grid, float(z), path) for z in heights_m] + [vertical_slice(grid, path)],
+        slices=[
+            ros_layer(layer_of(grid, *results.band_m), results.band_m, path),
+            vertical_slice(grid, path),
+            *(horizontal_slice(grid, float(z), path) for z in heights_m),
+        ],
         figures=Table("Figures", ("quantity", "value"), rows),
         band_m=results.band_m,
         open_command=info.open_command,

@@ -12,6 +12,7 @@ from dronevio.eval.scene import VIEWER_FIELD_OF_VIEW_RAD, fit_view
 from dronevio.eval.splatting import ViewCamera, shaded, splat
 from dronevio.models.arrays import Array, Image
 from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, States
+from dronevio.models.occupancy_maps import RosMap
 from dronevio.models.surfaces import Mesh
 
 STATE_COLOURS = {FREE: "#cfe8fb", OCCUPIED: "#24292f", UNKNOWN: "#9aa2ad"}
@@ -84,15 +85,24 @@ def horizontal_slice(grid: OccupancyGrid, z_m: float, path: Array) -> Markup:
 
 
 def vertical_slice(grid: OccupancyGrid, path: Array) -> Markup:
-    """Return the upright layer of cells along x or y of which most is known, with the path (N, 3)."""
-    known = grid.states != UNKNOWN
-    counts = [known.sum(axis=(1, 2)), known.sum(axis=(0, 2))]
+    """Return the upright layer of cells along x or y of which most is free, with the path (N, 3).
+
+    That of which most is known would lie within a wall.
+    """
+    free = grid.states == FREE
+    counts = [free.sum(axis=(1, 2)), free.sum(axis=(0, 2))]
     across = int(np.argmax([count.max() for count in counts]))
     k, along = int(np.argmax(counts[across])), 1 - across
     at_m = grid.low_m[across] + (k + 0.5) * grid.cell_m
     title, names = f"Vertical slice at {'xy'[across]} = {at_m:.1f} m", ("xy"[along], "z")
     layer: States = np.take(grid.states, k, axis=across)
     return plot_layer(layer, grid.low_m[[along, 2]], grid.cell_m, path[:, [along, 2]], title, names)
+
+
+def ros_layer(layer: RosMap, band_m: tuple[float, float], path: Array) -> Markup:
+    """Return the map of ROS, which combines a band of heights [m], with the path (N, 3)."""
+    title = f"Map of ROS: z = {band_m[0]:.2f} to {band_m[1]:.2f} m"
+    return plot_layer(layer.states, layer.low_m, layer.cell_m, path[:, :2], title, ("x", "y"))
 
 
 def mesh_picture(mesh: Mesh, path: Array, size_px: tuple[int, int] = _PICTURE_PX) -> Image:
@@ -110,7 +120,7 @@ def mesh_picture(mesh: Mesh, path: Array, size_px: tuple[int, int] = _PICTURE_PX
     normals = rows[:, 3:] / np.maximum(np.linalg.norm(rows[:, 3:], axis=1, keepdims=True), np.finfo(float).tiny)
     shade = shaded(normals, camera).astype(np.float32) / 235.0
     coloured = colours.height_colours(rows[:, 2], float(low[2]), float(high[2])).astype(np.float32)
-    line = _dense_line(path, 0.5 * spacing)
+    line = dense_line(path, 0.5 * spacing)
     points = np.concatenate([rows[:, :3], line])
     rgb = np.concatenate(
         [coloured * shade, np.tile(np.array(colours.rgb(colours.ESTIMATE), np.float32), (len(line), 1))]
@@ -118,10 +128,10 @@ def mesh_picture(mesh: Mesh, path: Array, size_px: tuple[int, int] = _PICTURE_PX
     return splat(camera, points, np.round(rgb).astype(np.uint8), spacing)
 
 
-def _dense_line(path: Array, step: float) -> Array:
-    """Return points (M, 3) along a path (N, 3) at a distance."""
+def dense_line(path: Array, step: float) -> Array:
+    """Return points (M, 3) along a path (N, 3) with its coordinates, at equal distances; the first is its beginning."""
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    at = np.arange(0.0, length[-1], step)
+    at = np.append(0.0, np.arange(step, length[-1], step))
     return np.stack([np.interp(at, length, column) for column in path.T], axis=1)
 
 

@@ -37,7 +37,11 @@ DEPTH = "depth"
 PATH_SO_FAR = "world/path_so_far"
 """Path of the flight up to the time cursor."""
 SUBMAPS = "world/submaps"
-"""Path of the submaps."""
+"""Path of the submaps: their cells up to `HEADROOM_M` above the flight."""
+ABOVE = "world/above"
+"""Path of the cells above those, such as ceilings, which are not shown unless somebody switches them on."""
+HEADROOM_M = 0.3
+"""Height above the flight up to which cells are shown, so that one sees into rooms [m]."""
 FINAL = "final"
 """Path of the world frame of the final mesh."""
 _FAR_M = 0.3  # distance of the image plane from the drawn camera
@@ -56,7 +60,9 @@ class DenseMapLog:
         self._poses: list[Array] = []
         self._last_p: Array = np.zeros((0, 3))
         self._next_ns: int | None = None
-        self._shown: dict[int, tuple[int, Array | None]] = {}
+        self._poses_shown: dict[int, Array] = {}
+        self._cells_shown: dict[str, int] = {}
+        self._top_m = -np.inf  # of the cells that are shown
         self._heights_m: tuple[float, float] | None = None
         for entity in ("world", FINAL):
             sink.static(entity, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
@@ -75,6 +81,7 @@ class DenseMapLog:
             self._log_camera(depth)
             self._next_ns = depth.t_ns
         T_map_odom = np.eye(4) if estimate.T_map_odom is None else estimate.T_map_odom
+        self._top_m = max(self._top_m, float(depth.T_odom_cam[2, 3]) + HEADROOM_M)
         self._t_ns.append(depth.t_ns)
         self._poses.append(np.asarray(T_map_odom @ depth.T_odom_cam))
         self._images.add(depth.t_ns, depth.grey)
@@ -116,21 +123,29 @@ class DenseMapLog:
 
     def _log_submap(self, submap: PlacedSubmap, t_ns: Times) -> None:
         """Log the pose of a submap and its occupied cells where they have changed."""
-        entity = f"{SUBMAPS}/{submap.number}"
-        cells = submap.grid.points(OCCUPIED)
-        content, T_before = self._shown.get(submap.number, (-1, None))
-        T = submap.T_map_odom
-        if T is not None and (T_before is None or not np.array_equal(T, T_before)):
-            self._sink.poses(entity, t_ns, T[None])
+        cells, T = submap.grid.points(OCCUPIED), submap.T_map_odom
+        before = self._poses_shown.get(submap.number)
+        is_moved = T is not None and (before is None or not np.array_equal(T, before))
+        is_above = cells[:, 2] > self._top_m
+        for parent, chosen in ((SUBMAPS, cells[~is_above]), (ABOVE, cells[is_above])):
+            entity = f"{parent}/{submap.number}"
+            if T is not None and is_moved:
+                self._sink.poses(entity, t_ns, T[None])
+                self._poses_shown[submap.number] = T
+            self._log_cells(f"{entity}/cells", chosen, submap.grid.cell_m, t_ns)
+
+    def _log_cells(self, entity: str, cells: Array, cell_m: float, t_ns: Times) -> None:
+        """Log cells (N, 3) if they differ from those that were logged last."""
         digest = hash(cells.tobytes())
-        if digest != content:
-            columns = rr.Points3D.columns(
-                positions=cells.astype(np.float32),
-                colors=self._colours(cells),
-                radii=np.full(len(cells), 0.5 * submap.grid.cell_m, np.float32),
-            )
-            self._sink.columns(f"{entity}/cells", t_ns, columns.partition([len(cells)]))
-        self._shown[submap.number] = (digest, T)
+        if self._cells_shown.get(entity) == digest:
+            return
+        self._cells_shown[entity] = digest
+        columns = rr.Points3D.columns(
+            positions=cells.astype(np.float32),
+            colors=self._colours(cells),
+            radii=np.full(len(cells), 0.5 * cell_m, np.float32),
+        )
+        self._sink.columns(entity, t_ns, columns.partition([len(cells)]))
 
     def _colours(self, cells: Array) -> Array:
         """Return colours (N, 3) of cells (N, 3) by their height; the scale is that of the first cells."""
@@ -164,12 +179,12 @@ def dense_map_file(path: Path, recording: Recording) -> Iterator[DenseMapLog]:
 @contextmanager
 def dense_map_viewer(url: str, recording: Recording) -> Iterator[DenseMapLog]:
     """Show a map in a viewer at a URL such as ``rerun+http://127.0.0.1:9876/proxy`` while it grows."""
-    with Sink.to_viewer(url, recording.name, _blueprint(), first_time_ns(recording)) as sink:
+    with Sink.to_viewer(url, recording.name, _blueprint(is_live=True), first_time_ns(recording)) as sink:
         yield DenseMapLog(sink)
 
 
-def _blueprint() -> rrb.Blueprint:
-    """Return the layout: the map on the left, beside the image and its depths; the final mesh in a tab."""
+def _blueprint(*, is_live: bool = False) -> rrb.Blueprint:
+    """Return the layout: the map on the left, beside the image, its depths and the final mesh; live, the newest time."""
     beginning, cursor = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.cursor_relative()
     so_far = rrb.VisibleTimeRanges(timeline=TIMELINE, start=beginning, end=cursor)
     growing = rrb.Spatial3DView(
@@ -177,7 +192,7 @@ def _blueprint() -> rrb.Blueprint:
         name="Map: occupied cells by height",
         line_grid=False,
         background=BACKGROUND,
-        overrides={PATH_SO_FAR: so_far},
+        overrides={PATH_SO_FAR: so_far, ABOVE: rrb.EntityBehavior(visible=False)},
     )
     final = rrb.Spatial3DView(origin=FINAL, name="Final mesh", line_grid=False, background=BACKGROUND)
     images = rrb.Vertical(
@@ -189,7 +204,12 @@ def _blueprint() -> rrb.Blueprint:
         rrb.Horizontal(growing, images, column_shares=[1.9, 1.0]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, loop_mode="all"),
+        rrb.TimePanel(
+            state="collapsed",
+            timeline=TIMELINE,
+            loop_mode="off" if is_live else "all",
+            play_state="following" if is_live else None,
+        ),
         auto_views=False,
         auto_layout=False,
     )

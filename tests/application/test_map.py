@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import dronevio as dv
 from dronevio.cli import main
 from dronevio.estimator.mapping.keyframe_depths import KeyframeDepths
 from dronevio.estimator.mapping.surfaces import surfaces
-from dronevio.eval.report.map_pictures import plot_from_above, vertical_slice
+from dronevio.eval.report.map_pictures import dense_line, plot_from_above, vertical_slice
 from dronevio.models.depth import DepthImage, Pinhole
 from dronevio.models.occupancy import FREE, OCCUPIED, OccupancyGrid
 from dronevio.models.occupancy_maps import read_occupancy, read_ros_map
@@ -77,6 +78,21 @@ def test_pictures_of_small_grids() -> None:
         assert plot_from_above(grid, path).startswith("<svg") and vertical_slice(grid, path).startswith("<svg")
 
 
+def test_the_vertical_slice_is_not_within_a_wall() -> None:
+    states = np.zeros((8, 6, 5), np.uint8)
+    states[0], states[4, :, 1:4] = OCCUPIED, FREE
+    grid = OccupancyGrid(np.zeros(3), 0.1, states)
+    picture = vertical_slice(grid, np.array([[0.4, 0.1, 0.2], [0.4, 0.5, 0.2]]))
+    assert re.search(r"Vertical slice at (x = 0.5|x = 0.4) m", picture)
+
+
+def test_points_along_a_path_leave_out_its_rests() -> None:
+    path = np.repeat([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [50, 50], axis=0)
+    along = dense_line(path, 0.25)
+    np.testing.assert_allclose(along[:, 2], [0.0, 0.25, 0.5, 0.75])
+    assert len(dense_line(path[:1], 0.25)) == len(dense_line(path[:50], 0.25)) == 1
+
+
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a short flight with a stereo pair of small images."""
@@ -124,6 +140,17 @@ def test_map_from_python_without_slam(recording: Path) -> None:
     result = dv.map(recording, dv.DenseMapConfig(cell_m=0.2), slam=False)
     assert result.run.map is None and result.occupancy.cell_m == 0.2 and len(result.mesh.triangles) > 50
     assert result.volume_m3(FREE) > 1.0 and len(result.depth_cpu_ms) > 10
+
+
+def test_one_camera(flown: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The motion of one camera gives fewer depth images, which show free space and surfaces beside it."""
+    out = tmp_path / "map"
+    words = ["--cameras", "1", "--no-slam", "--cell-m", "0.2", "--json"]
+    assert main(["map", str(flown.folder), "--out", str(out), *words]) == 0
+    summary, grid = json.loads(capsys.readouterr().out), read_occupancy(out / "occupancy.npz")
+    assert 3 < summary["depth_images"] < summary["frames"] / 4
+    assert summary["free_m3"] > 1.0 and summary["occupied_m3"] > 0.1
+    assert not np.any(grid.at(read_tum(out / "map.tum").p_world_imu) == OCCUPIED)
 
 
 @pytest.mark.parametrize(

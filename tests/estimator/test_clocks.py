@@ -18,6 +18,7 @@ from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements
 from dronevio.models.rig import Rig
+from dronevio.models.rotation import log_so3
 from dronevio.models.state import CameraFrame, Estimate, Health, Trajectory
 
 if TYPE_CHECKING:
@@ -86,6 +87,19 @@ def ate_m(flight: "SyntheticFlight", estimates: list[Estimate]) -> float:
     return float(np.sqrt(((align(truth, p).positions(p) - truth) ** 2).sum(axis=1).mean()))
 
 
+def exposure_errors(flight: "SyntheticFlight", estimates: list[Estimate], delay_s: float) -> tuple[float, float]:
+    """Return the errors [m], [rad] of the last two seconds' states at the exposures of frames that are stamped late."""
+    exposed = [e.exposed for e in estimates[-40:] if e.exposed is not None]
+    assert len(exposed) == 40
+    estimated = Trajectory.from_states(exposed)
+    truth = flight.truth_at(np.array([e.t_ns for e in estimates[-40:]]) - round(1e9 * delay_s))
+    to_truth = align(truth.p_world_imu, estimated.p_world_imu)
+    away_m = np.linalg.norm(to_truth.positions(estimated.p_world_imu) - truth.p_world_imu, axis=1)
+    R = to_truth.R_truth_estimate @ estimated.rotations
+    turn_rad = np.linalg.norm(log_so3(np.swapaxes(truth.rotations, 1, 2) @ R), axis=1)
+    return float(np.median(away_m)), float(np.median(turn_rad))
+
+
 def events_of(estimates: list[Estimate], text: str) -> list[str]:
     """Return the events that contain a text."""
     return [event for e in estimates for event in e.events if text in event]
@@ -103,6 +117,30 @@ def test_a_time_offset_that_prevents_tracking_is_found(make_flight: MakeFlight, 
     assert all(e.health is Health.TRACKING for e in estimates[-40:])
     begun = next(k for k, e in enumerate(estimates) if TIME_OFFSET_FOUND in "".join(e.events))
     assert ate_m(flight, estimates[begun:]) < 0.05
+    away_m, turn_rad = exposure_errors(flight, estimates, delay_s)
+    assert away_m < 0.02 and turn_rad < (0.01 if delay_s > 0.0 else 0.015)  # predicted until its samples come
+
+
+def test_the_state_at_the_exposure_of_a_frame_by_the_estimated_offset(make_flight: MakeFlight) -> None:
+    """The frames are exposed 15 ms before they are stamped, in which the vehicle turns by up to a degree."""
+    flight = make_flight(0, rest_s=IN_MOTION, duration_s=8.0, motion=LIVELY, max_features=100)
+    vio, estimates = run(flight, lambda t: np.full(len(t), 0.015))
+    assert vio.time_offset_s == pytest.approx(-0.015, abs=0.002)
+    away_m, turn_rad = exposure_errors(flight, estimates, 0.015)
+    assert away_m < 0.02 and turn_rad < 0.006
+    stamped = exposure_errors(flight, [replace(e, exposed=e.state) for e in estimates], 0.015)
+    assert stamped[1] > 2.0 * turn_rad
+    last = estimates[-1]
+    assert last.rig is not None and last.rig.time_offset_s == pytest.approx(vio.time_offset_s)
+    assert last.exposed is not None and last.exposed.angular_velocity_rad_s is not None
+
+
+def test_without_an_offset_the_exposure_is_at_the_stamp(make_flight: MakeFlight) -> None:
+    flight = make_flight(0, rest_s=IN_MOTION, duration_s=3.0)
+    _, estimates = run(flight, lambda t: np.zeros(len(t)))
+    state, exposed = estimates[-1].state, estimates[-1].exposed
+    assert state is not None and exposed is not None and exposed.t_ns == state.t_ns
+    assert np.array_equal(exposed.T_world_imu, state.T_world_imu) and estimates[-1].rig is flight.rig
 
 
 def test_the_right_offset_is_kept(make_flight: MakeFlight) -> None:

@@ -226,7 +226,7 @@ def test_propagation_to_the_stamp_keeps_covariances(time_offset_s: float) -> Non
     covariance = np.diag(np.arange(1.0, 16.0))
     state = NavState(12_000_000, np.eye(4), np.zeros(3), np.zeros(3), np.zeros(3), covariance)
     stamp_ns = 12_000_000 - round(time_offset_s * 1e9)
-    stamped = ExposureCompensation().at_stamp(Estimate(12_000_000, Health.TRACKING, state), stamp_ns)
+    stamped = ExposureCompensation().at_time(Estimate(12_000_000, Health.TRACKING, state), stamp_ns)
     assert stamped.state is not None
     np.testing.assert_array_equal(stamped.state.covariance, covariance)
 

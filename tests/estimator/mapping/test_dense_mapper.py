@@ -1,5 +1,7 @@
 """The dense map along a flight: submaps begin, a loss begins another local map, and loops bend the map."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -73,6 +75,23 @@ def test_frames_without_tracking_do_not_enter() -> None:
     assert not has_local_map(mapper) and mapper.fused() is None and len(mapper.submaps) == 0
     add(mapper, estimate(2))
     assert has_local_map(mapper) and len(mapper.submaps) == 1
+
+
+@pytest.mark.parametrize("frames_hz", [5.0, 12.5, 15.0, 20.0, 24.0, 25.0, 29.97, 60.0])
+def test_the_rate_of_depth_images_does_not_depend_on_that_of_the_frames(frames_hz: float) -> None:
+    """Ten depth images a second, or all frames if they are fewer; after a gap there is no burst."""
+    taken: list[int] = []
+
+    class Asked:
+        def depth(self, frame: CameraFrame, at: Estimate) -> None:
+            taken.append(frame.t_ns)
+
+    mapper, t_s = DenseMapper(euroc_rig(), source=Asked()), np.arange(round(4.0 * frames_hz)) / frames_hz
+    for t_ns in np.rint(1e9 * np.concatenate([t_s, 10.0 + t_s])).astype(np.int64).tolist():
+        mapper.add_frame(CameraFrame(t_ns, ()), replace(estimate(0), t_ns=t_ns))
+    before, after = (np.count_nonzero((np.array(taken) < 5 * 10**9) == is_first) for is_first in (True, False))
+    assert before == pytest.approx(4.0 * min(frames_hz, 10.0), abs=1) and after == pytest.approx(before, abs=1)
+    assert np.diff(taken).min() > 0.99e9 * np.floor(frames_hz / min(frames_hz, 10.0)) / frames_hz
 
 
 def test_submaps_begin_along_the_path_and_together_are_the_map() -> None:

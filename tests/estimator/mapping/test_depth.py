@@ -1,6 +1,7 @@
 """Depth images of rigs: rectification, stereo, the sweep of one camera, standard deviations, rejection."""
 
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -36,6 +37,7 @@ WALL_M = 2.0
 """Distance of the wall z = 2 m from the IMU at rest, whose frame is that of a camera."""
 
 
+@cache
 def texture(seed: int = 0) -> Image:
     """Return a picture (1600, 1600) of smooth noise."""
     noise = np.random.default_rng(seed).normal(size=(1600, 1600))
@@ -79,6 +81,12 @@ def depth_of(rig: Rig, **images: float) -> DepthImage:
     found = depth_source(rig).depth(frame, estimate())
     assert found is not None
     return found
+
+
+def depth_at_rest(rig: Rig) -> DepthImage | None:
+    """Return what the images of a rig at rest tell of the wall, of which one camera sees nothing."""
+    frame = CameraFrame(0, tuple(picture(c.model, c.T_imu_cam) for c in rig.cameras))
+    return depth_source(rig).depth(frame, estimate())
 
 
 def check_wall(found: DepthImage, density: float = 0.5) -> None:
@@ -165,10 +173,10 @@ def test_the_source_by_the_rig() -> None:
     """Two cameras with a common view are a pair; one behind the other, or back to back, they are not."""
     behind = pose_matrix(np.eye(3), np.array([0.0, 0.0, -0.2]))
     back = pose_matrix(exp_so3(np.array([0.0, np.pi, 0.0])), np.array([0.1, 0.0, 0.0]))
-    assert isinstance(depth_source(pair_of(SMALL, OTHERS["right"])), StereoDepth)
-    assert isinstance(depth_source(Rig((RigCamera(SMALL, np.eye(4)),))), SweepDepth)
+    assert depth_at_rest(pair_of(SMALL, OTHERS["right"])) is not None
+    assert depth_at_rest(Rig((RigCamera(SMALL, np.eye(4)),))) is None
     for other in (behind, back, np.eye(4)):
-        assert isinstance(depth_source(pair_of(SMALL, other)), SweepDepth)
+        assert depth_at_rest(pair_of(SMALL, other)) is None
     with pytest.raises(ConfigError, match="rig without a camera"):
         depth_source(Rig(()))
 
@@ -236,6 +244,45 @@ def test_the_pose_is_that_of_the_exposure() -> None:
     found = depth_source(late).depth(CameraFrame(0, images), estimate(velocity=np.array([1.0, 0.0, 0.0])))
     assert found is not None
     assert found.T_odom_cam[0, 3] == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("tells", [True, False])
+def test_the_pose_has_the_time_offset_of_the_rig(tells: bool) -> None:
+    """An estimator that tells the state at the exposure is believed; otherwise the given offset moves the state."""
+    rig = replace(stereo()[0], time_offset_s=0.02)
+    frame = CameraFrame(0, tuple(picture(c.model, c.T_imu_cam) for c in rig.cameras))
+    at_stamp, velocity = estimate(velocity=np.array([1.0, 0.0, 0.0])), np.array([1.0, 0.0, 0.0])
+    exposed = estimate(pose_matrix(np.eye(3), np.array([0.3, 0.0, 0.0])), velocity=velocity).state
+    found = depth_source(rig).depth(frame, replace(at_stamp, exposed=exposed if tells else None))
+    assert found is not None
+    assert found.T_odom_cam[0, 3] == pytest.approx(0.3 if tells else 0.02)
+
+
+def test_the_poses_of_the_cameras_are_those_in_use() -> None:
+    """With the right camera turned against the calibration by half a degree, depth is right by the corrected one."""
+    true, _ = stereo()
+    turned = pose_matrix(exp_so3(np.array([0.009, 0.004, 0.0])), np.zeros(3))
+    given = replace(true, cameras=(true.cameras[0], replace(true.cameras[1], T_imu_cam=OTHERS["right"] @ turned)))
+    frame, source = CameraFrame(0, tuple(picture(c.model, c.T_imu_cam) for c in true.cameras)), depth_source(given)
+    wrong = source.depth(frame, estimate())
+    assert wrong is None or wrong.known.mean() < 0.5 or abs(np.median(wrong.points_odom()[:, 2]) - WALL_M) > 0.05
+    found = source.depth(frame, replace(estimate(), rig=true))
+    assert found is not None
+    check_wall(found)
+
+
+@pytest.mark.parametrize("delay_ns", [10_000_000, -10_000_000])
+def test_cameras_that_are_exposed_one_after_another_see_the_wall(delay_ns: int) -> None:
+    """The pair is rectified from where its cameras were: here a third one is in time, and the right one is not."""
+    rig, third = stereo()[0], RigCamera(SMALL, pose_matrix(exp_so3(np.array([0.0, np.pi, 0.0])), np.zeros(3)))
+    rig = replace(rig, cameras=(third, *rig.cameras))
+    moves = estimate(velocity=np.array([0.5, 1.0, -1.0]), rate=np.array([0.5, 1.0, -1.5]))
+    assert moves.state is not None
+    poses = [pose_after(moves.state, 1e-9 * delay) for delay in (0, 0, delay_ns)]
+    images = tuple(picture(c.model, T @ c.T_imu_cam) for c, T in zip(rig.cameras, poses, strict=True))
+    found = depth_source(rig).depth(CameraFrame(0, images, image_delays_ns=(0, 0, delay_ns)), moves)
+    assert found is not None
+    check_wall(found)
 
 
 def test_motion_between_the_two_exposures() -> None:
