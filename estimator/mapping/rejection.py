@@ -52,7 +52,7 @@ def slopes(matched: Floats) -> Floats:
         change = np.minimum(np.abs(matched[after] - matched[before]) * steps, np.float32(255.0))
         difference[before] = np.where(is_matched[before] & is_matched[after], change, np.float32(0.0))
         total += cv2.medianBlur(difference, 5)
-    return np.minimum(total / steps, np.float32(MAX_SLOPE))
+    return np.asarray(np.minimum(total / steps, np.float32(MAX_SLOPE)))
 
 
 def edges(disparity: Floats, matched: Floats, slope: Floats) -> Mask:
@@ -86,12 +86,14 @@ def borrowed(disparity: Floats, information: Floats) -> Mask:
         disparity: (H, W) Disparities that are known, 0 elsewhere [px].
         information: (H, W) Squared derivative of the warped image with respect to the disparities.
     """
-    width, height = WINDOW_PX
-    ones = [np.ones(size, np.float32) for size in (width, height)]
-    offsets = [np.arange(size, dtype=np.float32) - np.float32(size // 2) for size in (width, height)]
-    x = cv2.sepFilter2D(information, cv2.CV_32F, offsets[0], ones[1], borderType=cv2.BORDER_REPLICATE)
-    y = cv2.sepFilter2D(information, cv2.CV_32F, ones[0], offsets[1], borderType=cv2.BORDER_REPLICATE)
-    reach = np.float32(OWN_PX) * cv2.sepFilter2D(information, cv2.CV_32F, *ones, borderType=cv2.BORDER_REPLICATE)
+    (of_columns, along_columns), (of_rows, along_rows) = (
+        (np.ones(size, np.float32), np.arange(size, dtype=np.float32) - np.float32(size // 2)) for size in WINDOW_PX
+    )
+    x, y, total = (
+        cv2.sepFilter2D(information, cv2.CV_32F, columns, rows, borderType=cv2.BORDER_REPLICATE)
+        for columns, rows in ((along_columns, of_rows), (of_columns, along_rows), (of_columns, of_rows))
+    )
+    reach = np.float32(OWN_PX) * total
     is_own = (np.abs(x) < reach) & (np.abs(y) < reach)
     own = np.where(is_own, disparity, np.float32(0.0))
     own_or_far = np.where(own > 0.0, own, np.float32(_FAR))
