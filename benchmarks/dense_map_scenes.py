@@ -402,7 +402,7 @@ def long_rows(scenarios: Sequence[Scenario], rig: Rig, config: DenseMapConfig) -
     fused_s, grown_mb = time.process_time() - before, rss_mb() - start_mb
     if grid is not None:
         known_m3 = float((grid.states != UNKNOWN).sum()) * grid.cell_m**3
-        box_m3, packed_mb = grid.states.size * grid.cell_m**3, run.mapper._store.memory_bytes / 1e6
+        box_m3, packed_mb = grid.states.size * grid.cell_m**3, run.mapper.packed_bytes / 1e6
         print(
             f"fused: {known_m3:.0f} m³ known of {box_m3:.0f} m³, in {fused_s:.1f} s; packed submaps {packed_mb:.2f} MB,"
             f" {1e3 * packed_mb / known_m3:.2f} MB per 1000 m³ known; process {grown_mb:.0f} MB larger than before",
