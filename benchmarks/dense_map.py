@@ -8,10 +8,11 @@ path in position and yaw, the local map by the newest pose. Maps on true poses h
 shifted, so that walls do not lie between cells. The size is that of the packed submaps by the volume of known cells.
 Flights are recorded with a stereo rig and the true depth.
 
-``poles`` flies towards poles of 2, 4 and 8 cm. ``movers`` counts what people and carts leave behind. ``loop`` compares
-the map of a flight that comes back, whose odometry is given more drift, with the same map without the correction of its
-keyframes. ``taken-back`` compares a map after a correction that was wrong for a second with one without it. ``cost``
-measures the processor time of each stage. ``long`` maps two floors in ten minutes, from rays instead of images::
+``poles`` flies towards poles of 2, 4 and 8 cm at several places. ``movers`` counts what people and carts leave behind.
+``loop`` compares the map of a flight that comes back, whose odometry is given more drift, with the same map without the
+correction of its keyframes. ``taken-back`` compares a map after a correction that was wrong for a second with one without
+it. ``cost`` measures the processor time of each stage. ``long`` maps two floors in ten minutes, from rays instead of
+images::
 
     dronevio fly --scenario room-easy --rig euroc-stereo --truth-images depth --out /tmp/maps/room
     python benchmarks/dense_map.py worlds /tmp/maps/room /tmp/maps/corridor
@@ -70,6 +71,8 @@ class PolesCommand:
 
     rig: str = "pinhole-stereo"
     """Name of a stereo rig."""
+    places: int = 5
+    """Number of places in front of which the poles stand, a flight each."""
     dense: DenseMapConfig = field(default_factory=DenseMapConfig)
     """Settings of the map."""
 
@@ -207,7 +210,7 @@ def show(
     if isinstance(command, WorldsCommand):
         print_as_made(row for folder in command.recordings for row in rows_of(folder, command))
     elif isinstance(command, PolesCommand):
-        print_as_made(pole_rows(rig_named(command.rig), command.dense))
+        print_as_made(pole_rows(rig_named(command.rig), command.dense, command.places))
     elif isinstance(command, MoversCommand):
         print_as_made(mover_rows(command.recording, command.dense))
     elif isinstance(command, LoopCommand):
