@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from dense_map_poles import POLES_M, WIDTHS_M, pole_flight
+from dense_map_poles import WIDTHS_M, pole_flight, poles_of
 from dense_map_runs import (
     TRUE_SIGMA_M,
     MapRun,
@@ -49,31 +49,58 @@ DISTANCES_M = (0.05, 0.1, 0.2)
 # --- poles
 
 
-def pole_rows(rig: Rig, config: DenseMapConfig) -> list[Row]:
-    """Return a row for each pole: where it is occupied first, and where it is falsely free last."""
-    run = MapRun(DenseMapper(rig, config))
+def pole_rows(rig: Rig, config: DenseMapConfig, places: int) -> list[Row]:
+    """Return a row for each pole: where it is occupied first, and where it is falsely free last, at several places."""
+    found = np.array([_pole_flight(rig, config, place) for place in range(places)])  # (places, values, poles)
+    half, whole, wrong, last = np.moveaxis(found, 1, 0)
+    return [
+        {
+            "pole": f"{100.0 * width:.0f} cm",
+            "half occupied at": f"{_median(half[:, k])} m",
+            "all occupied at": f"{_median(whole[:, k])} m",
+            "falsely free within 2 m": f"{100.0 * wrong[:, k].mean():.2f} %",
+            "places": f"{np.count_nonzero(wrong[:, k])} of {places}",
+            "falsely free at last at": f"{text(float(np.fmin.reduce(last[:, k])), '.2f')} m",
+        }
+        for k, width in enumerate(WIDTHS_M)
+    ]
+
+
+def _median(ranges_m: Array) -> str:
+    """Return the median of ranges as text, in which NaN, never, is nearer than all."""
+    return text(float(np.median(np.nan_to_num(ranges_m))) or None, ".2f")
+
+
+def _pole_flight(rig: Rig, config: DenseMapConfig, place: int) -> Array:
+    """Return values (4, 3) of the poles at a place.
+
+    They are the ranges at which half and 95 % of a pole are occupied first [m], the share that is falsely free within
+    2 m, and the smallest range at which some of it is [m].
+    """
+    run, poles = MapRun(DenseMapper(rig, config)), poles_of(place)
     ranges, occupied, wrong = [], [], []
-    for frame, estimate in pole_flight(rig):
+    for frame, estimate in pole_flight(rig, place):
         grid = run.mapper.local_map if run.add(frame, estimate) else None
         if grid is None or estimate.T_odom_imu is None:
             continue
         position = estimate.T_odom_imu[:3, 3]
         heights = position[2] + np.linspace(-0.3, 0.3, 25)
-        columns = [np.stack([*np.broadcast_arrays(*foot[:2], heights)], axis=1) for foot in POLES_M]
-        ranges.append(POLES_M[:, 0] - position[0])
+        columns = [np.stack([*np.broadcast_arrays(*foot[:2], heights)], axis=1) for foot in poles]
+        ranges.append(poles[:, 0] - position[0])
         occupied.append([float(np.mean(_are_near(grid, column, OCCUPIED))) for column in columns])
         wrong.append([float(np.mean(are_falsely_free(grid, column))) for column in columns])
     r, o, w = np.array(ranges), np.array(occupied), np.array(wrong)
-    return [
-        {
-            "pole": f"{100.0 * width:.0f} cm",
-            "half occupied at": f"{text(_largest(r[:, k], o[:, k] >= 0.5), '.2f')} m",
-            "all occupied at": f"{text(_largest(r[:, k], o[:, k] >= 0.95), '.2f')} m",
-            "falsely free within 2 m": f"{100.0 * w[r[:, k] < 2.0, k].mean():.2f} %",
-            "falsely free at last at": f"{text(_smallest(r[:, k], w[:, k] > 0.0), '.2f')} m",
-        }
-        for k, width in enumerate(WIDTHS_M)
-    ]
+    return np.array(
+        [
+            [
+                _largest(r[:, k], o[:, k] >= 0.5),
+                _largest(r[:, k], o[:, k] >= 0.95),
+                w[r[:, k] < 2.0, k].mean(),
+                _smallest(r[:, k], w[:, k] > 0.0),
+            ]
+            for k in range(len(WIDTHS_M))
+        ]
+    ).T
 
 
 def _are_near(grid: OccupancyGrid, points: Array, state: int) -> Mask:
@@ -402,7 +429,7 @@ def long_rows(scenarios: Sequence[Scenario], rig: Rig, config: DenseMapConfig) -
     fused_s, grown_mb = time.process_time() - before, rss_mb() - start_mb
     if grid is not None:
         known_m3 = float((grid.states != UNKNOWN).sum()) * grid.cell_m**3
-        box_m3, packed_mb = grid.states.size * grid.cell_m**3, run.mapper._store.memory_bytes / 1e6
+        box_m3, packed_mb = grid.states.size * grid.cell_m**3, run.mapper.packed_bytes / 1e6
         print(
             f"fused: {known_m3:.0f} m³ known of {box_m3:.0f} m³, in {fused_s:.1f} s; packed submaps {packed_mb:.2f} MB,"
             f" {1e3 * packed_mb / known_m3:.2f} MB per 1000 m³ known; process {grown_mb:.0f} MB larger than before",

@@ -16,6 +16,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -67,16 +69,20 @@ def own_update() -> list[Callable[[], Any]]:
     from dronevio.estimator.mapping.local_map import LocalMap
 
     local = LocalMap(CELL_M)
-    return [lambda image=image: local.add(evidence(image, CELL_M, RANGE_M)) for image in depth_images()]
+
+    def update(image: DepthImage) -> None:
+        local.add(evidence(image, CELL_M, RANGE_M))
+
+    return [partial(update, image) for image in depth_images()]
 
 
 def numba_update() -> list[Callable[[], Any]]:
     """Log-odds along the ray of each pixel, by steps of a cell."""
-    import numba
+    numba = import_module("numba")
 
     values, half = np.zeros((80, 80, 40), np.float32), np.array([40, 40, 20])
 
-    @numba.njit
+    @numba.njit  # type: ignore[untyped-decorator]
     def march(log_odds: Floats, points: Array, p: Array) -> None:
         """Add the rays from a position to the points, both in cells of the box."""
         for n in range(len(points)):
@@ -93,24 +99,24 @@ def numba_update() -> list[Callable[[], Any]]:
         near = DepthImage(0, CAMERA, image.T_odom_cam, np.minimum(image.depth_m, RANGE_M), image.sigma_m, image.grey)
         march(values, near.points_odom() / CELL_M + half, image.T_odom_cam[:3, 3] / CELL_M + half)
 
-    return [lambda image=image: update(image) for image in depth_images()]
+    return [partial(update, image) for image in depth_images()]
 
 
 def octomap_update() -> list[Callable[[], Any]]:
     """Points inserted into an octree."""
-    import pyoctomap
+    pyoctomap = import_module("pyoctomap")
 
     tree = pyoctomap.OcTree(CELL_M)
 
     def update(image: DepthImage) -> None:
         tree.insertPointCloud(image.points_odom(), image.T_odom_cam[:3, 3], RANGE_M)
 
-    return [lambda image=image: update(image) for image in depth_images()]
+    return [partial(update, image) for image in depth_images()]
 
 
 def open3d_update() -> list[Callable[[], Any]]:
     """Depth integrated into blocks of voxels with a truncated distance."""
-    import open3d as o3d
+    o3d = import_module("open3d")
 
     core, device = o3d.core, o3d.core.Device("CPU:0")
     grid = o3d.t.geometry.VoxelBlockGrid(
@@ -123,7 +129,7 @@ def open3d_update() -> list[Callable[[], Any]]:
         blocks = grid.compute_unique_block_coordinates(depth, K, extrinsic, 1.0, RANGE_M)
         grid.integrate(blocks, depth, K, extrinsic, 1.0, RANGE_M)
 
-    return [lambda image=image: update(image) for image in depth_images()]
+    return [partial(update, image) for image in depth_images()]
 
 
 def own_distance() -> list[Callable[[], Any]]:
@@ -144,7 +150,7 @@ def scipy_distance() -> list[Callable[[], Any]]:
 
 def edt_distance() -> list[Callable[[], Any]]:
     """`edt.edt`."""
-    import edt
+    edt = import_module("edt")
 
     clear = local_grid().states == FREE
     return [lambda: edt.edt(clear, anisotropy=(CELL_M,) * 3, black_border=False, parallel=1)]

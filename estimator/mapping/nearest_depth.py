@@ -40,7 +40,8 @@ class NearestDepths:
             least_px: Half side of the smallest footprint that will be asked for [px].
         """
         most, width, shift = _MOST_OF_IMAGE * len(values), values.shape[1], 0
-        radius, reach, place, images, first = max(1, int(np.ceil(least_px))), [], [], [], 0
+        radius, first = max(1, int(np.ceil(least_px))), 0
+        reach, place, images = list[int](), list[int](), list[npt.NDArray[np.generic]]()
         while not images or radius <= most:
             while _LEAST_BLOCKS << (shift + 1) <= radius:
                 values, shift = halved(values), shift + 1

@@ -16,7 +16,7 @@ from dronevio.estimator.mapping.evidence import (
 from dronevio.estimator.mapping.nearest_depth import NearestDepths
 from dronevio.models.arrays import Array, Floats, Mask
 from dronevio.models.rotation import exp_so3
-from tests.estimator.mapping.scenes import CAMERA, EUROC_HALF, image, pose, wall, with_box, with_pole
+from tests.estimator.mapping.scenes import CAMERA, EUROC_HALF, FORWARDS, image, pose, wall, with_box, with_pole
 
 CELL_M = 0.1
 
@@ -95,6 +95,24 @@ def test_the_points_of_pixels_are_in_occupied_cells(R: Array, position: Array, d
     assert (
         len(corners) > 0.6 * (CAMERA.width / CAMERA.K[0, 0]) * (CAMERA.height / CAMERA.K[1, 1]) * (depth_m / 0.1) ** 2
     )
+
+
+@pytest.mark.parametrize("yaw_rad", [0.0, 0.4, 0.785, 2.0])
+def test_little_more_than_the_footprint_must_be_in_front(yaw_rad: float) -> None:
+    """Cells beside an unknown half of the image are free from a seventh of a footprint on."""
+    depth = wall(6.0, EUROC_HALF)
+    depth[:, :188] = 0.0
+    T = pose((0.02, 0.03, 0.04), exp_so3(np.array([0.0, 0.0, yaw_rad])) @ FORWARDS)
+    found = evidence(image(depth, T, 0.0, EUROC_HALF), CELL_M, 4.0)
+    corners, K = in_camera(found, np.ones_like(found.log_odds, bool), T), EUROC_HALF.K
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u, v = (K[axis, axis] * corners[..., axis] / corners[..., 2] + K[axis, 2] for axis in (0, 1))
+    width = u.max(axis=1) - u.min(axis=1)
+    inside = (u.max(axis=1) < 375.0 - 0.4 * width) & (np.abs(v - K[1, 2]).max(axis=1) < 119.0 - width)
+    near = (corners[..., 2].min(axis=1) > 0.8) & (corners[..., 2].max(axis=1) < 3.8)
+    beside = near & inside & (u.min(axis=1) > 191.0 + 0.15 * width)
+    assert beside.sum() > 1000
+    assert found_free(found).ravel()[beside].all()
 
 
 def test_an_error_of_the_depth_widens_what_is_unknown() -> None:
