@@ -58,6 +58,8 @@ class MapCommand(Settings):
       dronevio map flight.mcap --calibration camchain.yaml imu.yaml --out hall
       dronevio map MH_01_easy --cell-m 0.05 --range-m 3
       dronevio map MH_01_easy --band-m 0.2 1.8
+      dronevio map MH_01_easy --cameras 1 --no-slam
+      dronevio map GOPR0001.MP4 --calibration camera.yaml --imu MPU-6050
       dronevio map MH_01_easy --live
     """
 
@@ -68,8 +70,8 @@ class MapCommand(Settings):
     slam: bool = True
     """Correct the map by loops, where a place is seen again."""
     band_m: Annotated[tuple[float, float] | None, Range(-10_000.0, 10_000.0)] = None
-    """Lowest and highest z of the cells that the map of ROS combines [m]; by default 0.3 m below to 0.3 m above the
-    median height of the flight."""
+    """Lowest and highest z of the cells that the map of ROS combines, in the frame of the map [m]; by default 0.3 m
+    below to 0.3 m above the median height of the flight."""
     live: bool = False
     """Show the map in a rerun viewer while it grows: in a window if there is a display, otherwise in a browser of this
     machine. The viewer ends with the command."""
