@@ -30,7 +30,7 @@ class BatchContacts:
             nthread: Number of threads; 0 means one for each processor.
         """
         spec = spec.copy()
-        spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)  # moving objects do not wake what is asleep
+        spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)  # which a batch of one state does not have
         geoms = [geom for geom in spec.body("quadrotor").geoms if geom.group == COLLISION_GROUP]
         for geom in geoms:
             spec.add_sensor(
@@ -42,7 +42,7 @@ class BatchContacts:
             )
         self._foot = np.array([geom.name.startswith(FEET) for geom in geoms])
         self.model = spec.compile()
-        """The model, with moving objects."""
+        """The model with sensors."""
         self._batch = Batch(self.model, count, nthread)
         self._pose = self._batch.bind("qpos")
         self._moving = self._batch.bind("mocap_pos"), self._batch.bind("mocap_quat")

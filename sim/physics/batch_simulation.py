@@ -1,6 +1,5 @@
 """Simulations of many vehicles of one type in one world by `mujoco.batch`."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -11,9 +10,8 @@ from mujoco.batch import Batch
 from dronevio.models.arrays import Array, Mask
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.sim.physics.batch_contacts import BatchContacts
-from dronevio.sim.physics.collisions import Moving
+from dronevio.sim.physics.clearance_grid import WITHOUT_CONTACTS, ClearanceGrid
 from dronevio.sim.physics.motion import middle_of_interval
-from dronevio.sim.physics.mover_table import MoverTable
 from dronevio.sim.physics.vehicle_states import Rows, VehicleParameters, VehicleStates
 
 Indices = npt.NDArray[np.intp]
@@ -39,21 +37,9 @@ class Interval:
 
 
 class BatchSimulation:
-    """n simulations of a vehicle, which advance by IMU intervals; k of them may be selected by rows.
+    """n simulations of a vehicle, which advance by IMU intervals; k of them may be selected by rows."""
 
-    Moving objects are not part of the physics: a contact is found at the end of an interval for the vehicles that are
-    near one, and does not push them.
-    """
-
-    def __init__(
-        self,
-        spec: mujoco.MjSpec,
-        count: int,
-        substeps: int,
-        recorded: bool,
-        nthread: int,
-        movers: Sequence[Moving] = (),
-    ) -> None:
+    def __init__(self, spec: mujoco.MjSpec, count: int, substeps: int, recorded: bool, nthread: int) -> None:
         """Compile the model.
 
         Args:
@@ -62,19 +48,16 @@ class BatchSimulation:
             substeps: Number of time steps of an IMU interval.
             recorded: Whether the motion in the middle of an interval is wanted.
             nthread: Number of threads; 0 means one for each processor.
-            movers: All moving objects of the model.
         """
         self._detector = BatchContacts(spec, count, nthread)
-        self._movers = MoverTable(self._detector.model, movers, substeps * spec.option.timestep) if movers else None
-        spec = spec.copy()
-        for mover in movers:
-            spec.delete(spec.body(mover.body))
         model = spec.compile()
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self._body = model.body("quadrotor").id
         self._batch = Batch(model, count, nthread, persistent=True)
         self._pose, self._twist = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._control, self._contacts = self._batch.bind("ctrl"), self._batch.bind("ncon")
+        self._grid = ClearanceGrid(model, substeps * model.opt.timestep)
+        self._flags, self._disabled = int(model.opt.disableflags), self._batch.expand("opt.disableflags")
         self._masses, self._inertias = self._batch.expand("body_mass"), self._batch.expand("body_inertia")
         self._batch.set_const()
         self._substeps = substeps
@@ -108,9 +91,7 @@ class BatchSimulation:
         """Return the motion (13, k) of the physics."""
         return np.concatenate([self._pose[rows].T, self._twist[rows].T])
 
-    def run(
-        self, rows: Rows, start: Array, wrench: Array, touched: Mask, diverged: Mask, number: npt.NDArray[np.int64]
-    ) -> Interval:
+    def run(self, rows: Rows, start: Array, wrench: Array, touched: Mask, diverged: Mask) -> Interval:
         """Run k simulations for an interval. A diverging vehicle is held at its pose at the start.
 
         Args:
@@ -119,11 +100,12 @@ class BatchSimulation:
             wrench: (k, 6) Constant forces [N] and torques [N m].
             touched: (k,) Which vehicles have collided before.
             diverged: (k,) Which simulations have diverged before.
-            number: (k,) Number of intervals before this one in each episode.
         """
+        clear = self._grid.clear(start[:3], start[7:10])
+        self._disabled[rows] = np.where(clear, self._flags | WITHOUT_CONTACTS, self._flags)
         self._control[rows] = wrench
         middle = self._stepped(None if isinstance(rows, slice) else rows)
-        touched = self._touching(rows, touched, number)
+        touched = self._touching(rows, touched)
         stopped = self._diverging(rows, diverged)
         if stopped.size:
             diverged, start = diverged.copy(), start.copy()
@@ -146,19 +128,14 @@ class BatchSimulation:
         half = substeps // 2
         return middle_of_interval(np.array(record[:, half - 1].T, order="C"), record[:, half].T, substeps)
 
-    def _touching(self, rows: Rows, touched: Mask, number: npt.NDArray[np.int64]) -> Mask:
+    def _touching(self, rows: Rows, touched: Mask) -> Mask:
         """Return which of k vehicles have collided, given those (k,) that had before."""
-        near = self._contacts[rows] > 0
-        if self._movers is not None:
-            near |= self._movers.near(number, self._pose[rows, :3])
-        candidates = np.flatnonzero(near & ~touched)
+        candidates = np.flatnonzero((self._contacts[rows] > 0) & ~touched)
         if not candidates.size:
             return touched
         indices, touched = self._indices(rows)[candidates], touched.copy()
         finite = np.isfinite(self._pose[indices]).all(axis=1)
-        candidates, indices = candidates[finite], indices[finite]
-        moving = None if self._movers is None else self._movers.at(number[candidates])
-        touched[candidates] = self._detector.detect(indices, self._pose[indices], moving)
+        touched[candidates[finite]] = self._detector.detect(indices[finite], self._pose[indices[finite]])
         return touched
 
     def _diverging(self, rows: Rows, diverged: Mask) -> Indices:

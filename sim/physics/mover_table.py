@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from dronevio.models.arrays import Array, Mask
 from dronevio.models.rotation import quat_wxyz_from_matrix
+from dronevio.sim.physics.clearance_grid import reach_m
 from dronevio.sim.physics.collisions import Moving
 
 _BLOCK = 1024  # intervals that are computed together
@@ -28,10 +29,7 @@ class MoverTable:
         bodies = [model.body(mover.body).id for _, mover in sorted(self._numbers, key=lambda pair: pair[0])]
         balls = [_ball(model, body) for body in bodies]
         self._centres = np.array([centre for centre, _ in balls]).reshape(-1, 3)
-        vehicle = model.body("quadrotor").id
-        own = np.flatnonzero(model.geom_bodyid == vehicle)
-        reach = float((np.linalg.norm(model.geom_pos[own], axis=1) + model.geom_rbound[own]).max())
-        self._near_m2 = np.square([radius + reach for _, radius in balls])
+        self._near_m2 = np.square([radius + reach_m(model) for _, radius in balls])
 
     def at(self, interval: npt.NDArray[np.int64]) -> tuple[Array, Array]:
         """Return positions (k, M, 3) [m] and quaternions (k, M, 4) of M objects at the starts of intervals (k,)."""

@@ -14,7 +14,7 @@ from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix
 from dronevio.sim.physics.batch_plant import BatchPlant
 from dronevio.sim.physics.mover_table import MoverTable
 from dronevio.sim.physics.plant import QuadrotorPlant
-from dronevio.sim.physics.vehicle import physics_model
+from dronevio.sim.physics.vehicle import meeting_spec
 from dronevio.sim.physics.vehicle_states import VehicleStates
 from dronevio.sim.world import collision_spec, flight_area, illumination_and_movers, solid_space
 
@@ -85,7 +85,7 @@ def test_vehicles_of_a_batch_meet_movers_at_their_own_times() -> None:
 
 def test_tabulated_poses_are_those_of_the_movers_and_near_is_not_missed() -> None:
     movers = illumination_and_movers("moving", 1)[1]
-    model = physics_model(RESEARCH, euroc_rig(), 1e-3, collision_spec("moving", 1))
+    model = meeting_spec(RESEARCH, euroc_rig(), collision_spec("moving", 1)).compile()
     table, interval = MoverTable(model, movers, 0.005), np.array([0, 1023, 1024, 70_000])  # in several blocks
     positions, quats = table.at(interval)
     data = mujoco.MjData(model)

@@ -1,0 +1,75 @@
+"""Contacts of a vehicle with moving objects, which are not part of the physics."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.arrays import Array, Mask
+from dronevio.sim.physics.batch_contacts import BatchContacts
+from dronevio.sim.physics.collisions import CollisionDetector, Moving
+from dronevio.sim.physics.mover_table import MoverTable
+
+
+class MoverContacts:
+    """Detector of contacts of a vehicle with moving objects, of which only near ones are examined.
+
+    They push nothing: a contact ends a flight, and a step of the physics with the bodies of twenty people takes ten
+    times as long.
+    """
+
+    def __init__(self, model: mujoco.MjModel, movers: Sequence[Moving], interval_s: float) -> None:
+        """Take a model of the vehicle and the moving objects, these objects, and the length of an interval [s]."""
+        self._table = MoverTable(model, movers, interval_s)
+        self._model, self._data = model, mujoco.MjData(model)
+        self._detector = CollisionDetector(model)
+
+    def detect(self, interval: int, pose: Array) -> tuple[str, str] | None:
+        """Return the names of the vehicle's part and of the object of a collision, or None without one.
+
+        Args:
+            interval: Number of the interval, at the start of which the objects are met.
+            pose: (7,) Position and orientation of the vehicle.
+        """
+        number = np.array([interval])
+        if not self._table.near(number, pose[None, :3])[0]:
+            return None
+        positions, quats = self._table.at(number)
+        self._data.mocap_pos[:], self._data.mocap_quat[:] = positions[0], quats[0]
+        self._data.qpos[:] = pose
+        mujoco.mj_fwdPosition(self._model, self._data)
+        return self._detector.detect(self._data)
+
+
+class BatchMoverContacts:
+    """Detector of contacts of many vehicles with moving objects, as `MoverContacts`, at the time of each vehicle."""
+
+    def __init__(
+        self, spec: mujoco.MjSpec, movers: Sequence[Moving], interval_s: float, count: int, nthread: int
+    ) -> None:
+        """Compile the model.
+
+        Args:
+            spec: Specification of the vehicle and the moving objects; it is not changed.
+            movers: These objects.
+            interval_s: Length of an interval [s].
+            count: Number of vehicles.
+            nthread: Number of threads; 0 means one for each processor.
+        """
+        self._detector = BatchContacts(spec, count, nthread)
+        self._table = MoverTable(self._detector.model, movers, interval_s)
+
+    def detect(self, rows: npt.NDArray[np.intp], interval: npt.NDArray[np.int64], pose: Array) -> Mask:
+        """Return which of k vehicles collide (k,).
+
+        Args:
+            rows: (k,) Indices of the vehicles.
+            interval: (k,) Numbers of the intervals, at the starts of which the objects are met.
+            pose: (k, 7) Positions and orientations of the vehicles.
+        """
+        touching = self._table.near(interval, pose[:, :3])
+        if touching.any():
+            moving = self._table.at(interval[touching])
+            touching[touching] = self._detector.detect(rows[touching], pose[touching], moving)
+        return touching
