@@ -1,6 +1,7 @@
-"""Contacts of a vehicle with moving objects, which are not part of the physics."""
+"""Contacts of vehicles with moving objects, which are not part of the physics."""
 
 from collections.abc import Sequence
+from math import dist
 
 import mujoco
 import numpy as np
@@ -9,6 +10,7 @@ import numpy.typing as npt
 from dronevio.models.arrays import Array, Mask
 from dronevio.sim.physics.batch_contacts import BatchContacts
 from dronevio.sim.physics.collisions import CollisionDetector, Moving
+from dronevio.sim.physics.mover_bounds import WINDOW, MoverBounds
 from dronevio.sim.physics.mover_table import MoverTable
 
 
@@ -21,9 +23,10 @@ class MoverContacts:
 
     def __init__(self, model: mujoco.MjModel, movers: Sequence[Moving], interval_s: float) -> None:
         """Take a model of the vehicle and the moving objects, these objects, and the length of an interval [s]."""
-        self._table = MoverTable(model, movers, interval_s)
+        self._bounds, self._table = MoverBounds(model, movers, interval_s), MoverTable(model, movers, interval_s)
         self._model, self._data = model, mujoco.MjData(model)
         self._detector = CollisionDetector(model)
+        self._window, self._place, self._gap_m = -1, np.zeros(3), 0.0  # of the last comparison with the bounds
 
     def detect(self, interval: int, pose: Array) -> tuple[str, str] | None:
         """Return the names of the vehicle's part and of the object of a collision, or None without one.
@@ -32,8 +35,13 @@ class MoverContacts:
             interval: Number of the interval, at the start of which the objects are met.
             pose: (7,) Position and orientation of the vehicle.
         """
+        position = pose[:3]
+        if interval // WINDOW == self._window and dist(position, self._place) < self._gap_m:
+            return None
         number = np.array([interval])
-        if not self._table.near(number, pose[None, :3])[0]:
+        self._window, self._place = interval // WINDOW, position.copy()
+        self._gap_m = float(self._bounds.gap_m(number, position[None])[0])
+        if self._gap_m > 0.0:
             return None
         positions, quats = self._table.at(number)
         self._data.mocap_pos[:], self._data.mocap_quat[:] = positions[0], quats[0]
@@ -58,7 +66,8 @@ class BatchMoverContacts:
             nthread: Number of threads; 0 means one for each processor.
         """
         self._detector = BatchContacts(spec, count, nthread)
-        self._table = MoverTable(self._detector.model, movers, interval_s)
+        model = self._detector.model
+        self._bounds, self._table = MoverBounds(model, movers, interval_s), MoverTable(model, movers, interval_s)
 
     def detect(self, rows: npt.NDArray[np.intp], interval: npt.NDArray[np.int64], pose: Array) -> Mask:
         """Return which of k vehicles collide (k,).
@@ -68,7 +77,7 @@ class BatchMoverContacts:
             interval: (k,) Numbers of the intervals, at the starts of which the objects are met.
             pose: (k, 7) Positions and orientations of the vehicles.
         """
-        touching = self._table.near(interval, pose[:, :3])
+        touching = self._bounds.near(interval, pose[:, :3])
         if touching.any():
             moving = self._table.at(interval[touching])
             touching[touching] = self._detector.detect(rows[touching], pose[touching], moving)

@@ -12,6 +12,7 @@ from dronevio.models.quadrotor import RESEARCH
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix
 from dronevio.sim.physics.batch_plant import BatchPlant
+from dronevio.sim.physics.mover_bounds import MoverBounds
 from dronevio.sim.physics.mover_table import MoverTable
 from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.physics.vehicle import meeting_spec
@@ -86,7 +87,8 @@ def test_vehicles_of_a_batch_meet_movers_at_their_own_times() -> None:
 def test_tabulated_poses_are_those_of_the_movers_and_near_is_not_missed() -> None:
     movers = illumination_and_movers("moving", 1)[1]
     model = meeting_spec(RESEARCH, euroc_rig(), collision_spec("moving", 1)).compile()
-    table, interval = MoverTable(model, movers, 0.005), np.array([0, 1023, 1024, 70_000])  # in several blocks
+    table, bounds = MoverTable(model, movers, 0.005), MoverBounds(model, movers, 0.005)
+    interval = np.array([0, 1023, 1024, 70_000])  # in several blocks
     positions, quats = table.at(interval)
     data = mujoco.MjData(model)
     for row, number in enumerate(interval):
@@ -99,5 +101,5 @@ def test_tabulated_poses_are_those_of_the_movers_and_near_is_not_missed() -> Non
             data.qpos[:3] = point
             mujoco.mj_forward(model, data)
             touching = model.geom_bodyid[data.contact.geom].min(axis=1) > 0  # the vehicle is the first body
-            assert table.near(interval[[row]], point[None])[0] or not touching.any()
-    assert not table.near(interval[:1], np.array([[0.0, 0.0, 1.5]]))[0]
+            assert bounds.near(interval[[row]], point[None])[0] or not touching.any()
+    assert not bounds.near(interval[:1], np.array([[0.0, 0.0, 1.5]]))[0]
