@@ -19,12 +19,12 @@ _BLOCK_OFFSETS_M = (np.indices((_BLOCK,) * 3).reshape(3, -1).T + 0.5) * _CELL_M
 
 
 class ClearanceGrid:
-    """Lower bounds of the way from anywhere in a cell to a contact with the static geoms of a model.
+    """Ways from the middles of cells to a contact with the static geoms of a model.
 
     In the search for contacts, MuJoCo descends its tree of all geoms at each step, which takes as long as the rest of
     the physics in a world of some hundred geoms. Where nothing can be touched in an interval, contacts are disabled,
     and the motion remains the same. Cells are evaluated in blocks, when a vehicle is in one for the first time; boxes
-    are exact, other shapes are replaced by their bounding boxes. Outside the grid nothing is known to be free.
+    are exact, other shapes are replaced by their bounding boxes. Outside the grid, boxes are farther than its padding.
     """
 
     def __init__(self, model: mujoco.MjModel, interval_s: float) -> None:
@@ -46,8 +46,9 @@ class ClearanceGrid:
         self._shape = np.zeros(3, np.intp)
         if boxes.any():
             self._shape = np.ceil((high - self._low) / (_BLOCK * _CELL_M)).astype(np.intp) * _BLOCK
-        self._way_m = np.full(self._shape, np.nan)
-        self._taken_m = reach_m(model) + 0.5 * math.sqrt(3.0) * _CELL_M + _SLACK_M
+        self._way_m = np.full(self._shape, np.nan, dtype=np.float32)
+        self._padding_m = _PADDING_M if boxes.any() else np.inf
+        self._taken_m = reach_m(model) + _SLACK_M
         self._way_per_speed_s = 2.0 * interval_s
 
     def clear(self, position: Array, velocity: Array) -> Mask:
@@ -59,32 +60,46 @@ class ClearanceGrid:
         """
         cell = (position.T - self._low) / _CELL_M
         inside = ((cell >= 0.0) & (cell < self._shape)).all(axis=1)  # false for NaN
-        cells = cell[inside].astype(np.intp)
+        cell = cell[inside]
+        cells = cell.astype(np.intp)
         way = self._way_m[tuple(cells.T)]
         if np.isnan(way).any():
             for block in np.unique(cells[np.isnan(way)] // _BLOCK, axis=0):
                 self._evaluate(block)
             way = self._way_m[tuple(cells.T)]
-        clear = np.zeros(len(cell), dtype=bool)
-        clear[inside] = way > self._way_per_speed_s * np.linalg.norm(velocity[:, inside], axis=0)
-        return clear
+        off_middle = cell - cells - 0.5
+        ways, outside = np.empty(len(inside)), ~inside
+        ways[inside] = way - _CELL_M * np.sqrt(np.einsum("ki,ki->k", off_middle, off_middle))
+        if outside.any():
+            ways[outside] = self._outside_m(position.T[outside])
+        return np.asarray(ways > self._way_per_speed_s * np.linalg.norm(velocity, axis=0))
 
     def clears(self, position: Array, velocity: Array) -> bool:
         """Return `clear` of one vehicle at a position (3,) with a velocity (3,), ten times as fast."""
         x, y, z = ((position - self._low) / _CELL_M).tolist()
         across, along, up = self._way_m.shape
-        if not (0.0 <= x < across and 0.0 <= y < along and 0.0 <= z < up):
-            return False
-        cell = int(x), int(y), int(z)
-        if math.isnan(self._way_m[cell]):
-            self._evaluate(np.array(cell) // _BLOCK)
-        return bool(self._way_m[cell] > self._way_per_speed_s * math.hypot(*velocity.tolist()))
+        if 0.0 <= x < across and 0.0 <= y < along and 0.0 <= z < up:
+            cell = int(x), int(y), int(z)
+            if math.isnan(self._way_m[cell]):
+                self._evaluate(np.array(cell) // _BLOCK)
+            way = float(self._way_m[cell]) - _CELL_M * math.hypot(x - cell[0] - 0.5, y - cell[1] - 0.5, z - cell[2] - 0.5)
+        else:
+            way = float(self._outside_m(position[None])[0])
+        return way > self._way_per_speed_s * math.hypot(*velocity.tolist())
+
+    def _outside_m(self, points: Array) -> Array:
+        """Return the ways from points (k, 3) outside the grid."""
+        return np.minimum(self._padding_m, self._above_planes(points)) - self._taken_m
+
+    def _above_planes(self, points: Array) -> Array:
+        """Return the distances of points (k, 3) to the nearest plane [m]; negative below it."""
+        distances = np.einsum("kpi,pi->kp", points[:, None] - self._points, self._normals)
+        return np.asarray(distances.min(axis=1, initial=np.inf))
 
     def _evaluate(self, block: npt.NDArray[np.intp]) -> None:
         """Evaluate the cells of a block (3,)."""
         centres = self._low + block * (_BLOCK * _CELL_M) + _BLOCK_OFFSETS_M
-        above_planes = np.einsum("kpi,pi->kp", centres[:, None] - self._points, self._normals)
-        clearance = np.minimum(self._boxes.clearance(centres), above_planes.min(axis=1, initial=np.inf))
+        clearance = np.minimum(self._boxes.clearance(centres), self._above_planes(centres))
         i, j, k = block * _BLOCK
         shape = (_BLOCK,) * 3
         self._way_m[i : i + _BLOCK, j : j + _BLOCK, k : k + _BLOCK] = (clearance - self._taken_m).reshape(shape)

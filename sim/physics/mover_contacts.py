@@ -6,10 +6,11 @@ from math import dist
 import mujoco
 import numpy as np
 import numpy.typing as npt
+from mujoco.batch import Batch
 
 from dronevio.models.arrays import Array, Mask
-from dronevio.sim.physics.batch_contacts import BatchContacts
 from dronevio.sim.physics.collisions import CollisionDetector, Moving
+from dronevio.sim.physics.contact_sensors import ContactSensors
 from dronevio.sim.physics.mover_bounds import WINDOW, MoverBounds
 from dronevio.sim.physics.mover_table import MoverTable
 
@@ -65,8 +66,12 @@ class BatchMoverContacts:
             count: Number of vehicles.
             nthread: Number of threads; 0 means one for each processor.
         """
-        self._detector = BatchContacts(spec, count, nthread)
-        model = self._detector.model
+        spec = spec.copy()
+        self._sensors = ContactSensors(spec)
+        model = spec.compile()
+        self._batch = Batch(model, count, nthread)
+        self._pose, self._sensed = self._batch.bind("qpos"), self._batch.bind("sensordata")
+        self._positions, self._quats = self._batch.bind("mocap_pos"), self._batch.bind("mocap_quat")
         self._bounds, self._table = MoverBounds(model, movers, interval_s), MoverTable(model, movers, interval_s)
 
     def detect(self, rows: npt.NDArray[np.intp], interval: npt.NDArray[np.int64], pose: Array) -> Mask:
@@ -77,8 +82,11 @@ class BatchMoverContacts:
             interval: (k,) Numbers of the intervals, at the starts of which the objects are met.
             pose: (k, 7) Positions and orientations of the vehicles.
         """
-        touching = self._bounds.near(interval, pose[:, :3])
-        if touching.any():
-            moving = self._table.at(interval[touching])
-            touching[touching] = self._detector.detect(rows[touching], pose[touching], moving)
-        return touching
+        near = self._bounds.near(interval, pose[:, :3])
+        if near.any():
+            rows, pose = rows[near], pose[near]
+            self._pose[rows] = pose
+            self._positions[rows], self._quats[rows] = self._table.at(interval[near])
+            self._batch.forward(rows, stage=mujoco.mjtStage.mjSTAGE_POS)
+            near[near] = self._sensors.collide(self._sensed[rows])
+        return near
