@@ -40,9 +40,9 @@ class Interval:
 class BatchSimulation:
     """n simulations of a vehicle, which advance by IMU intervals; k of them may be selected by rows.
 
-    There are two batches. Most vehicles can touch nothing during an interval; they are simulated in an empty world, on one
-    simulation state for each thread. The others are simulated among the solids, on a state each, since only then can the
-    kinematics of thousands of static geoms be left out of the steps.
+    There are two batches. Most vehicles can touch nothing during an interval: they are simulated in an empty world,
+    with one `mujoco.MjData` for each thread. The others are simulated among the solids, with one each, since only then
+    can the kinematics of thousands of static geoms be left out of the steps.
     """
 
     def __init__(self, spec: mujoco.MjSpec, count: int, substeps: int, recorded: bool, nthread: int) -> None:

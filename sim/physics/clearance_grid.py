@@ -1,4 +1,4 @@
-"""Grid of the way that a vehicle may go before it can touch a solid, by which contacts are left out where it is free."""
+"""Grid of clearances of a world, by which contacts are left out where a vehicle can touch nothing."""
 
 import math
 
@@ -19,12 +19,13 @@ _BLOCK_OFFSETS_M = (np.indices((_BLOCK,) * 3).reshape(3, -1).T + 0.5) * _CELL_M
 
 
 class ClearanceGrid:
-    """Ways from the middles of cells to a contact with the static geoms of a model.
+    """Lengths of the way of a vehicle from the middle of each cell to a contact with the static geoms of a model.
 
     In the search for contacts, MuJoCo descends its tree of all geoms at each step, which takes as long as the rest of
-    the physics in a world of some hundred geoms. Where nothing can be touched in an interval, contacts are disabled,
-    and the motion remains the same. Cells are evaluated in blocks, when a vehicle is in one for the first time; boxes
-    are exact, other shapes are replaced by their bounding boxes. Outside the grid, boxes are farther than its padding.
+    the physics in a world of some hundred geoms. Where nothing can be touched in an interval, it is left out, and the
+    motion remains the same. Cells are evaluated in blocks, when a vehicle is in one for the first time. Boxes and
+    planes are exact, other shapes are replaced by their bounding boxes. Outside the grid, all boxes are farther away
+    than its padding.
     """
 
     def __init__(self, model: mujoco.MjModel, interval_s: float) -> None:
@@ -79,10 +80,11 @@ class ClearanceGrid:
         x, y, z = ((position - self._low) / _CELL_M).tolist()
         across, along, up = self._way_m.shape
         if 0.0 <= x < across and 0.0 <= y < along and 0.0 <= z < up:
-            cell = int(x), int(y), int(z)
-            if math.isnan(self._way_m[cell]):
-                self._evaluate(np.array(cell) // _BLOCK)
-            way = float(self._way_m[cell]) - _CELL_M * math.hypot(x - cell[0] - 0.5, y - cell[1] - 0.5, z - cell[2] - 0.5)
+            i, j, k = int(x), int(y), int(z)
+            if math.isnan(self._way_m[i, j, k]):
+                self._evaluate(np.array([i, j, k]) // _BLOCK)
+            off_middle = math.hypot(x - i - 0.5, y - j - 0.5, z - k - 0.5)
+            way = float(self._way_m[i, j, k]) - _CELL_M * off_middle
         else:
             way = float(self._outside_m(position[None])[0])
         return way > self._way_per_speed_s * math.hypot(*velocity.tolist())

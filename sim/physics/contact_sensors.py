@@ -1,4 +1,4 @@
-"""Sensors of the contacts of a vehicle other than those of a foot with the ground, for simulations in `mujoco.batch`."""
+"""Sensors of contacts other than those of a foot with the ground, for simulations in `mujoco.batch`."""
 
 import mujoco
 import numpy as np

@@ -21,8 +21,8 @@ _SIGNS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in 
 class MoverBounds:
     """Axis-aligned boxes around M moving objects during windows of IMU intervals.
 
-    An object is sampled eight times a window; the box extends beyond the samples by the longest way of a corner from one
-    sample to the next.
+    An object is sampled eight times a window; the box extends beyond the samples by the longest way of a corner from
+    one sample to the next.
     """
 
     def __init__(self, model: mujoco.MjModel, movers: Sequence[Moving], interval_s: float) -> None:
@@ -57,17 +57,18 @@ class MoverBounds:
         if number not in self._blocks:
             per_window = WINDOW // _SAMPLE
             samples = number * _BLOCK * per_window + np.arange(_BLOCK * per_window + 1)
+            in_window = per_window * np.arange(_BLOCK)[:, None] + np.arange(
+                per_window + 1
+            )  # with the first of the next
             t_s = np.asarray(samples * (_SAMPLE * self._interval_s), np.float64)
             boxes = np.empty((_BLOCK, len(self._movers), 6))
             for m, (mover, corners) in enumerate(self._movers):
                 Ts = mover.poses(t_s)
                 path = corners @ Ts[:, :3, :3].transpose(0, 2, 1) + Ts[:, None, :3, 3]
-                way = np.linalg.norm(np.diff(path, axis=0), axis=-1).max(axis=1)
-                low, high = path.min(axis=1), path.max(axis=1)
-                starts = np.arange(0, len(way), per_window)
-                margin = np.maximum.reduceat(way, starts)[:, None]
-                boxes[:, m, :3] = np.minimum(np.minimum.reduceat(low[:-1], starts), low[per_window::per_window]) - margin
-                boxes[:, m, 3:] = np.maximum(np.maximum.reduceat(high[:-1], starts), high[per_window::per_window]) + margin
+                parts = path[in_window]  # (W, S, 8, 3)
+                margin = np.linalg.norm(np.diff(parts, axis=1), axis=-1).max(axis=(1, 2))[:, None]
+                boxes[:, m, :3] = parts.min(axis=(1, 2)) - margin
+                boxes[:, m, 3:] = parts.max(axis=(1, 2)) + margin
             if len(self._blocks) == _BLOCKS:
                 del self._blocks[next(iter(self._blocks))]  # the oldest
             self._blocks[number] = boxes
