@@ -15,7 +15,7 @@ from dronevio.sim.physics.clearance_grid import ClearanceGrid, reach_m
 from dronevio.sim.physics.collisions import COLLISION_GROUP
 from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.physics.vehicle import physics_model
-from dronevio.sim.physics.vehicle_states import VehicleStates
+from dronevio.sim.physics.vehicle_states import VehicleParameters, VehicleStates
 from dronevio.sim.world import collision_spec, solid_space
 
 RIG, INTERVAL_S = euroc_rig(), 0.005
@@ -73,6 +73,7 @@ def test_fast_vehicles_are_clear_only_far_from_a_wall() -> None:
         clear = grid.clear(points, np.tile([[speed_m_s], [0.0], [0.0]], 76))
         assert not clear[ahead_m < SLACK_M + speed_m_s * INTERVAL_S].any()
         assert clear[ahead_m > 0.4 + 2.0 * speed_m_s * INTERVAL_S].all()
+        assert [grid.clears(point, np.array([speed_m_s, 0.0, 0.0])) for point in points.T] == clear.tolist()
 
 
 def test_only_planes_and_far_away_places_are_clear_without_a_cell() -> None:
@@ -103,3 +104,17 @@ def test_contacts_that_are_left_out_do_not_change_the_motion(monkeypatch: pytest
     for with_, without in zip(flown(), left_out, strict=True):
         np.testing.assert_array_equal(with_, without)
     assert 0 < left_out[-1].sum() < 6
+
+
+def test_vehicles_near_a_wall_have_their_own_masses_and_diverge_once() -> None:
+    plant = BatchPlant(4, RIG, surroundings=wall(np.eye(3)), nthread=1)
+    parameters = VehicleParameters.of(RESEARCH, 4)
+    parameters = replace(parameters, mass_kg=parameters.mass_kg * [1.0, 1.3, 1.0, 1.3])
+    places = np.array([[1.6, 0.0, 2.0], [1.6, 0.0, 2.0], [-20.0, 0.0, 2.0], [-20.0, 0.0, 2.0]])
+    hover = RESEARCH.hover_speed_rad_s
+    plant.reset(np.ones(4, dtype=bool), VehicleStates.at(places, rotor_speed_rad_s=hover), parameters)
+    for _ in range(20):
+        plant.advance(np.full((4, 4), hover))
+    falling = plant.states.velocity_m_s[:, 2]
+    np.testing.assert_array_equal(falling[:2], falling[2:])  # near the wall and far from it
+    assert falling[1] < falling[0] - 0.1 and not plant.now.touched.any()

@@ -10,8 +10,9 @@ import pytest
 from dronevio.models.arrays import Array
 from dronevio.models.quadrotor import RESEARCH
 from dronevio.models.rig import euroc_rig
-from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix
+from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix, quat_wxyz_from_matrix
 from dronevio.sim.physics.batch_plant import BatchPlant
+from dronevio.sim.physics.clearance_grid import reach_m
 from dronevio.sim.physics.mover_bounds import MoverBounds
 from dronevio.sim.physics.mover_table import MoverTable
 from dronevio.sim.physics.plant import QuadrotorPlant
@@ -100,3 +101,35 @@ def test_tabulated_poses_are_those_of_the_movers_and_near_is_not_missed() -> Non
             touching = model.geom_bodyid[data.contact.geom].min(axis=1) > 0  # the vehicle is the first body
             assert bounds.near(interval[[row]], point[None])[0] or not touching.any()
     assert not bounds.near(interval[:1], np.array([[0.0, 0.0, 1.5]]))[0]
+
+
+def test_moving_objects_do_not_leave_their_bounds() -> None:
+    movers = illumination_and_movers("moving", 1)[1]
+    model = meeting_spec(RESEARCH, euroc_rig(), collision_spec("moving", 1)).compile()
+    bounds, data = MoverBounds(model, movers, 0.005), mujoco.MjData(model)
+    for number in (0, 5, 31, 63, 64, 100, 12_345):
+        for mover in movers:
+            T, place = mover.poses(np.array([0.005 * number]))[0], model.body(mover.body).mocapid[0]
+            data.mocap_pos[place], data.mocap_quat[place] = T[:3, 3], quat_wxyz_from_matrix(T[:3, :3])
+        mujoco.mj_kinematics(model, data)
+        moving = model.geom_bodyid > model.body("quadrotor").id
+        R = data.geom_xmat[moving].reshape(-1, 3, 3)
+        corners = data.geom_xpos[moving] + (R @ model.geom_size[moving, :, None])[..., 0]
+        gaps_m = bounds.gap_m(np.full(len(corners), number), corners)
+        np.testing.assert_allclose(gaps_m, -reach_m(model), atol=1e-9)  # within a box, as the ball around the vehicle
+
+
+def test_a_batch_meets_a_person_when_a_single_vehicle_does() -> None:
+    movers, rig = illumination_and_movers("moving", 1)[1], euroc_rig()
+    world = collision_spec("moving", 1)
+    one = QuadrotorPlant(rig, surroundings=world, movers=movers)
+    many = BatchPlant(1, rig, surroundings=world, movers=movers)
+    speeds = np.full(4, one.quadrotor.hover_speed_rad_s)
+    for _ in range(2):  # the second flight begins at an earlier time than that of the last comparison with the bounds
+        one.reset(pose_matrix(np.eye(3), in_the_lane()), rotor_speeds_rad_s=speeds)
+        many.reset(np.ones(1, bool), VehicleStates.at(in_the_lane()[None], rotor_speed_rad_s=speeds[0]))
+        while one.collision is None and one.t_ns < 3_100_000_000:
+            one.advance(one.t_ns + one.interval_ns, speeds)
+            many.advance(speeds[None])
+            assert bool(many.now.touched[0]) == (one.collision is not None)
+        assert one.collision is not None
