@@ -78,7 +78,7 @@ class ClearanceGrid:
     def clears(self, position: Array, velocity: Array) -> bool:
         """Return `clear` of one vehicle at a position (3,) with a velocity (3,), ten times as fast."""
         x, y, z = ((position - self._low) / _CELL_M).tolist()
-        across, along, up = self._way_m.shape
+        across, along, up = self._shape.tolist()
         if 0.0 <= x < across and 0.0 <= y < along and 0.0 <= z < up:
             i, j, k = int(x), int(y), int(z)
             if math.isnan(self._way_m[i, j, k]):

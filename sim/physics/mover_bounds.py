@@ -57,15 +57,13 @@ class MoverBounds:
         if number not in self._blocks:
             per_window = WINDOW // _SAMPLE
             samples = number * _BLOCK * per_window + np.arange(_BLOCK * per_window + 1)
-            in_window = per_window * np.arange(_BLOCK)[:, None] + np.arange(
-                per_window + 1
-            )  # with the first of the next
+            first, offset = per_window * np.arange(_BLOCK)[:, None], np.arange(per_window + 1)
             t_s = np.asarray(samples * (_SAMPLE * self._interval_s), np.float64)
             boxes = np.empty((_BLOCK, len(self._movers), 6))
             for m, (mover, corners) in enumerate(self._movers):
                 Ts = mover.poses(t_s)
                 path = corners @ Ts[:, :3, :3].transpose(0, 2, 1) + Ts[:, None, :3, 3]
-                parts = path[in_window]  # (W, S, 8, 3)
+                parts = path[first + offset]  # (W, S, 8, 3), up to the start of the next window
                 margin = np.linalg.norm(np.diff(parts, axis=1), axis=-1).max(axis=(1, 2))[:, None]
                 boxes[:, m, :3] = parts.min(axis=(1, 2)) - margin
                 boxes[:, m, 3:] = parts.max(axis=(1, 2)) + margin
