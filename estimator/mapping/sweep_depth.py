@@ -40,9 +40,9 @@ MAX_TURN_DEG = 25.0
 NEAREST_M = 0.5
 """Smallest depth that is searched [m]."""
 MAX_PLANES = 64
-POSE_PX = 0.16
+POSE_PX = 0.14
 """Standard deviation of the place of a pixel in another image by the estimated motion [px]."""
-SCALE_SIGMA = 0.014
+SCALE_SIGMA = 0.012
 """Standard deviation of the length of the estimated motion, as a share of it."""
 MAX_SIGMA_STEPS = 0.75
 """Largest standard deviation of an inverse depth, in steps of a pixel between the planes."""
