@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from dronevio.models.arrays import Array
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.quadrotor import RESEARCH
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, pose_matrix
@@ -85,7 +85,7 @@ def test_only_planes_and_far_away_places_are_clear_without_a_cell() -> None:
 
 
 def test_contacts_that_are_left_out_do_not_change_the_motion(monkeypatch: pytest.MonkeyPatch) -> None:
-    def flown() -> tuple[Array, ...]:
+    def flown() -> tuple[Array, Array, Array, Mask]:
         world = collision_spec("room", 1)
         one, many = QuadrotorPlant(RIG, surroundings=world), BatchPlant(6, RIG, surroundings=world, nthread=1)
         speeds = np.full(4, one.quadrotor.hover_speed_rad_s)
