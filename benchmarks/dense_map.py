@@ -10,9 +10,9 @@ Flights are recorded with a stereo rig and the true depth.
 
 ``poles`` flies towards poles of 2, 4 and 8 cm at several places. ``movers`` counts what people and carts leave behind.
 ``loop`` compares the map of a flight that comes back, whose odometry is given more drift, with the same map without the
-correction of its keyframes. ``taken-back`` compares a map after a correction that was wrong for a second with one without
-it. ``cost`` measures the processor time of each stage. ``long`` maps two floors in ten minutes, from rays instead of
-images::
+correction of its keyframes. ``taken-back`` compares a map after a correction that was wrong for a second with one that
+never was. ``cost`` measures the processor time of each stage. ``long`` maps two floors in ten minutes, from rays, not
+from images::
 
     dronevio fly --scenario room-easy --rig euroc-stereo --truth-images depth --out /tmp/maps/room
     python benchmarks/dense_map.py worlds /tmp/maps/room /tmp/maps/corridor

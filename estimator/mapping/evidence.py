@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.mapping.nearest_depth import NearestDepths, Pixels, Values, halved
+from dronevio.estimator.mapping.nearest_depth import NearestDepths, Pixels, Values
 from dronevio.models.arrays import Array, Floats, Integers
 from dronevio.models.depth import DepthImage, Pinhole
 
@@ -26,8 +26,8 @@ FULL_BLOCKS = 3.0
 """Number of blocks of pixels whose points in a cell are full evidence that it is occupied."""
 HOLE_PX = 13
 """Length of holes in the depth that may hide a thing; an odd number [px]."""
-_STEPS = 65535.0
-"""Steps of the quantized depths."""
+_LARGEST = 65535
+"""Largest quantized depth, that of the range."""
 
 
 def _line(column: float, row: float) -> npt.NDArray[np.uint8]:
@@ -105,7 +105,7 @@ def _add_free(
     cells, z, u, v = _cells_in_view(low, shape, depth, cell_m, near_m, float(far_m - half_m))
     # All pixels of which a part lies in the footprint
     radius = (np.maximum(np.take(of_column, u), np.take(of_row, v)) / (z - half_m) + np.float32(1.499)).astype(np.int32)
-    is_free = (z + half_m) * np.float32(_STEPS / far_m) <= windows.at(u, v, radius)
+    is_free = (z + half_m) * np.float32(_LARGEST / far_m) <= windows.at(u, v, radius)
     log_odds[cells] = np.where(is_free, np.float32(FREE_LOG_ODDS), np.float32(0.0))
 
 
@@ -196,9 +196,9 @@ def _add_occupied(
     log_odds: Floats, low: Integers, shape: tuple[int, int, int], depth: DepthImage, cell_m: float, far_m: float
 ) -> None:
     """Write the log-odds of the cells that contain points of pixels into those of a box."""
-    R, camera, step_m = depth.T_odom_cam[:3, :3], depth.camera, np.float32(far_m / _STEPS)
-    nearest, sigma, block = _least_of_blocks(depth, 0.5 * camera.K[0, 0] * cell_m / far_m, far_m)
-    d, used = nearest * step_m, np.flatnonzero(nearest < _STEPS)
+    R, camera, step_m = depth.T_odom_cam[:3, :3], depth.camera, np.float32(far_m / _LARGEST)
+    nearest, block = _nearest_of_blocks(depth, 0.5 * camera.K[0, 0] * cell_m / far_m, far_m)
+    d, used = (nearest >> 16).astype(np.float32) * step_m, np.flatnonzero(nearest < _LARGEST << 16)
     # Cell of pixel (u, v) of the blocks: (A @ (u, v, 1)) d + b.
     to_pixel = np.array([[block, 0.0, 0.5 * (block - 1)], [0.0, block, 0.5 * (block - 1)], [0.0, 0.0, 1.0]])
     A = (R @ np.linalg.inv(camera.K) @ to_pixel / cell_m).astype(np.float32)
@@ -211,25 +211,27 @@ def _add_occupied(
     cell = np.take((i * shape[1] + j) * shape[2] + k, used)
     share = np.minimum(np.bincount(cell)[cell] * np.float32(1.0 / FULL_BLOCKS), np.float32(1.0))
     # Squared probability that the error leaves the point in its cell, within a fifth.
-    weight = 1.0 / (1.0 + (np.float32(np.sqrt(2.0 * np.pi) / cell_m) * step_m * np.take(sigma, used)) ** 2)
+    sigma = (np.take(nearest, used) & _LARGEST).astype(np.float32) * step_m
+    weight = 1.0 / (1.0 + np.float32(2.0 * np.pi / cell_m**2) * sigma * sigma)
     log_odds[cell] = np.float32(OCCUPIED_LOG_ODDS) * weight * share
 
 
-def _least_of_blocks(depth: DepthImage, least_px: float, far_m: float) -> tuple[Values, Values, int]:
-    """Return the least depth of blocks of pixels, their least standard deviation, and the side of the blocks [px].
+def _nearest_of_blocks(depth: DepthImage, least_px: float, far_m: float) -> tuple[npt.NDArray[np.uint32], int]:
+    """Return the nearest depth of blocks of pixels with its standard deviation, and the side of the blocks [px].
 
-    Blocks are as large as ``least_px`` allows. Thin things in front of others stay. Values are in steps of ``far_m`` /
-    65535; where all depths are unknown or beyond, they are the largest.
+    Blocks are as large as ``least_px`` allows. Thin things in front of others stay. Depths are in the upper 16 bits,
+    standard deviations in the lower ones, both in steps of ``far_m`` / 65535; what is unknown or beyond is the largest.
     """
-    values, block = [_in_steps(image, image, 1.0, 0.0, far_m) for image in (depth.depth_m, depth.sigma_m)], 1
-    values = [each - (values[0] == 0) for each in values]  # 0 - 1 is the largest value
+    values, sigma = (_in_steps(image, image, 1.0, 0.0, far_m) for image in (depth.depth_m, depth.sigma_m))
+    nearest, block = (values - (values == 0)).astype(np.uint32) << 16 | sigma, 1  # 0 - 1 is the largest value
     while 2 * block <= least_px:
-        height, width = (size // 2 * 2 for size in values[0].shape)
-        values, block = [halved(each[:height, :width]) for each in values], 2 * block
-    return values[0], values[1], block
+        height, width = (size // 2 * 2 for size in nearest.shape)
+        rows = np.minimum(nearest[0:height:2, :width], nearest[1:height:2, :width])
+        nearest, block = np.minimum(rows[:, ::2], rows[:, 1::2]), 2 * block
+    return nearest, block
 
 
 def _in_steps(a: Floats, b: Floats, of_a: float, of_b: float, far_m: float) -> Values:
     """Return a weighted sum of two images (H, W) in steps of ``far_m`` / 65535, limited to their range."""
-    steps = _STEPS / far_m
+    steps = _LARGEST / far_m
     return np.asarray(cv2.addWeighted(a, of_a * steps, b, of_b * steps, 0.0, dtype=cv2.CV_16U), np.uint16)

@@ -44,7 +44,7 @@ class NearestDepths:
         reach, place, images = list[int](), list[int](), list[npt.NDArray[np.generic]]()
         while not images or radius <= most:
             while _LEAST_BLOCKS << (shift + 1) <= radius:
-                values, shift = halved(values), shift + 1
+                values, shift = _halved(values), shift + 1
             blocks = -(-radius >> shift)
             window = np.ones((2 * blocks + 1, 2 * blocks + 1), np.uint8)
             images.append(cv2.erode(values, window, borderType=cv2.BORDER_CONSTANT, borderValue=0))
@@ -72,7 +72,7 @@ class NearestDepths:
         return np.asarray(np.take(self.least, (place >> 4) + (row >> shift) * self.least.shape[1] + (column >> shift)))
 
 
-def halved(values: Values) -> Values:
+def _halved(values: Values) -> Values:
     """Return the least values of blocks of 2 × 2 pixels; 0 where a block leaves the image."""
     height, width = values.shape
     even = cv2.copyMakeBorder(values, 0, height % 2, 0, width % 2, cv2.BORDER_CONSTANT, value=0)
