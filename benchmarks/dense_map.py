@@ -5,12 +5,14 @@ SLAM, and of the true depth on the true poses. The dangerous error is false free
 camera saw within 2 m of the path, the share that is more than one cell from every cell that is not free; in the fused
 map at the end, and in the local map, pooled over its uses once a second. The fused map is aligned with the truth by the
 path in position and yaw, the local map by the newest pose. Maps on true poses have an odometry frame that is turned and
-shifted, so that walls do not lie between cells. Flights are recorded with a stereo rig and the true depth.
+shifted, so that walls do not lie between cells. The size is that of the packed submaps by the volume of known cells.
+Flights are recorded with a stereo rig and the true depth.
 
-``poles`` flies towards poles of 2, 4 and 8 cm. ``movers`` counts what people and carts leave behind. ``loop`` compares
-the map of a flight that comes back, whose odometry is given more drift, with the same map without the correction of its
-keyframes. ``taken-back`` compares a map after a correction that was wrong for a second with one without it. ``cost``
-measures the processor time of each stage. ``long`` maps two floors in ten minutes, from rays instead of images::
+``poles`` flies towards poles of 2, 4 and 8 cm at several places. ``movers`` counts what people and carts leave behind.
+``loop`` compares the map of a flight that comes back, whose odometry is given more drift, with the same map without the
+correction of its keyframes. ``taken-back`` compares a map after a correction that was wrong for a second with one without
+it. ``cost`` measures the processor time of each stage. ``long`` maps two floors in ten minutes, from rays instead of
+images::
 
     dronevio fly --scenario room-easy --rig euroc-stereo --truth-images depth --out /tmp/maps/room
     python benchmarks/dense_map.py worlds /tmp/maps/room /tmp/maps/corridor
@@ -39,7 +41,7 @@ from measuring import Row, opened, print_as_made, text
 from dronevio.estimator.mapping import DenseMapConfig
 from dronevio.eval.metrics.occupancy import are_falsely_free, state_shares, surface_scores
 from dronevio.models.arrays import Array, Mask
-from dronevio.models.occupancy import OccupancyGrid
+from dronevio.models.occupancy import UNKNOWN, OccupancyGrid
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.state import Trajectory
 from dronevio.sim.scenarios import scenario_named
@@ -69,6 +71,8 @@ class PolesCommand:
 
     rig: str = "pinhole-stereo"
     """Name of a stereo rig."""
+    places: int = 5
+    """Number of places in front of which the poles stand, a flight each."""
     dense: DenseMapConfig = field(default_factory=DenseMapConfig)
     """Settings of the map."""
 
@@ -154,7 +158,9 @@ def rows_of(folder: Path, command: WorldsCommand) -> Iterator[Row]:
         wrong = are_falsely_free(grid, surface)
         if command.worst:
             print_worst(seen.surface[entered], wrong, command.worst)
-        yield row_of(folder.name, name, grid, wrong, checks.counts[name], surface, seen, (R, t))
+        known_m3 = float((grid.states != UNKNOWN).sum()) * grid.cell_m**3
+        row = row_of(folder.name, name, grid, wrong, checks.counts[name], surface, seen, (R, t))
+        yield {**row, "MB per 1000 m³": text(1e-3 * run.mapper.packed_bytes / known_m3, ".2f")}
 
 
 def row_of(
@@ -204,7 +210,7 @@ def show(
     if isinstance(command, WorldsCommand):
         print_as_made(row for folder in command.recordings for row in rows_of(folder, command))
     elif isinstance(command, PolesCommand):
-        print_as_made(pole_rows(rig_named(command.rig), command.dense))
+        print_as_made(pole_rows(rig_named(command.rig), command.dense, command.places))
     elif isinstance(command, MoversCommand):
         print_as_made(mover_rows(command.recording, command.dense))
     elif isinstance(command, LoopCommand):

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from dense_map_poles import POLES_M, WIDTHS_M, pole_flight
+from dense_map_poles import WIDTHS_M, pole_flight, poles_of
 from dense_map_runs import (
     TRUE_SIGMA_M,
     MapRun,
@@ -30,7 +30,6 @@ from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.clouds import compare_clouds
 from dronevio.eval.metrics.occupancy import are_falsely_free
 from dronevio.models.arrays import Array, Mask
-from dronevio.models.camera import CameraModel
 from dronevio.models.depth import DepthImage, Pinhole
 from dronevio.models.imu import Times
 from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, PlacedSubmap
@@ -50,31 +49,58 @@ DISTANCES_M = (0.05, 0.1, 0.2)
 # --- poles
 
 
-def pole_rows(rig: Rig, config: DenseMapConfig) -> list[Row]:
-    """Return a row for each pole: where it is occupied first, and where it is falsely free last."""
-    run = MapRun(DenseMapper(rig, config))
+def pole_rows(rig: Rig, config: DenseMapConfig, places: int) -> list[Row]:
+    """Return a row for each pole: where it is occupied first, and where it is falsely free last, at several places."""
+    found = np.array([_pole_flight(rig, config, place) for place in range(places)])  # (places, values, poles)
+    half, whole, wrong, last = np.moveaxis(found, 1, 0)
+    return [
+        {
+            "pole": f"{100.0 * width:.0f} cm",
+            "half occupied at": f"{_median(half[:, k])} m",
+            "all occupied at": f"{_median(whole[:, k])} m",
+            "falsely free within 2 m": f"{100.0 * wrong[:, k].mean():.2f} %",
+            "places": f"{np.count_nonzero(wrong[:, k])} of {places}",
+            "falsely free at last at": f"{text(float(np.fmin.reduce(last[:, k])), '.2f')} m",
+        }
+        for k, width in enumerate(WIDTHS_M)
+    ]
+
+
+def _median(ranges_m: Array) -> str:
+    """Return the median of ranges as text, in which NaN, never, is nearer than all."""
+    return text(float(np.median(np.nan_to_num(ranges_m))) or None, ".2f")
+
+
+def _pole_flight(rig: Rig, config: DenseMapConfig, place: int) -> Array:
+    """Return values (4, 3) of the poles at a place.
+
+    They are the ranges at which half and 95 % of a pole are occupied first [m], the share that is falsely free within
+    2 m, and the smallest range at which some of it is [m].
+    """
+    run, poles = MapRun(DenseMapper(rig, config)), poles_of(place)
     ranges, occupied, wrong = [], [], []
-    for frame, estimate in pole_flight(rig):
+    for frame, estimate in pole_flight(rig, place):
         grid = run.mapper.local_map if run.add(frame, estimate) else None
         if grid is None or estimate.T_odom_imu is None:
             continue
         position = estimate.T_odom_imu[:3, 3]
         heights = position[2] + np.linspace(-0.3, 0.3, 25)
-        columns = [np.stack([*np.broadcast_arrays(*foot[:2], heights)], axis=1) for foot in POLES_M]
-        ranges.append(POLES_M[:, 0] - position[0])
+        columns = [np.stack([*np.broadcast_arrays(*foot[:2], heights)], axis=1) for foot in poles]
+        ranges.append(poles[:, 0] - position[0])
         occupied.append([float(np.mean(_are_near(grid, column, OCCUPIED))) for column in columns])
         wrong.append([float(np.mean(are_falsely_free(grid, column))) for column in columns])
     r, o, w = np.array(ranges), np.array(occupied), np.array(wrong)
-    return [
-        {
-            "pole": f"{100.0 * width:.0f} cm",
-            "half occupied at": f"{text(_largest(r[:, k], o[:, k] >= 0.5), '.2f')} m",
-            "all occupied at": f"{text(_largest(r[:, k], o[:, k] >= 0.95), '.2f')} m",
-            "falsely free within 2 m": f"{100.0 * w[r[:, k] < 2.0, k].mean():.2f} %",
-            "falsely free at last at": f"{text(_smallest(r[:, k], w[:, k] > 0.0), '.2f')} m",
-        }
-        for k, width in enumerate(WIDTHS_M)
-    ]
+    return np.array(
+        [
+            [
+                _largest(r[:, k], o[:, k] >= 0.5),
+                _largest(r[:, k], o[:, k] >= 0.95),
+                w[r[:, k] < 2.0, k].mean(),
+                _smallest(r[:, k], w[:, k] > 0.0),
+            ]
+            for k in range(len(WIDTHS_M))
+        ]
+    ).T
 
 
 def _are_near(grid: OccupancyGrid, points: Array, state: int) -> Mask:
@@ -102,26 +128,23 @@ def mover_rows(folder: Path, config: DenseMapConfig) -> list[Row]:
     camera, rng = recording.rig.cameras[0], np.random.default_rng(0)
     caster = RayCaster(world, seed)
     static = surface_points(world, seed, 0.05).points_m
-    run = MapRun(DenseMapper(recording.rig, config))
-    cell_m = config.cell_m
+    mapper, cell_m = DenseMapper(recording.rig, config), config.cell_m
     swept: dict[tuple[int, ...], list[float]] = {}  # time of the newest trace in a cell, and of the newest view of it
     still: dict[float, list[tuple[bool, bool]]] = {age: [] for age in AGES_S}
     near = _cells(static, cell_m, 2)
     for frame, estimate in true_estimates(recording):
-        T_world_imu = estimate.T_odom_imu
-        if not run.add(frame, estimate) or T_world_imu is None or run.mapper.local_map is None:
+        T_world_imu, depth = estimate.T_odom_imu, mapper.add_frame(frame, estimate)
+        if depth is None or T_world_imu is None or mapper.local_map is None:
             continue
         t_s, T_world_cam = 1e-9 * frame.t_ns, T_world_imu @ camera.T_imu_cam
         points = moved_points(caster, T_world_cam, random_bearings(camera, rng), t_s, config.range_m)
         for cell in set(map(tuple, np.floor(points / cell_m).astype(int).tolist())) - near:
             swept[cell] = [t_s, 0.0]
-        grid, cells = run.mapper.local_map, list(swept)
+        grid, cells = mapper.local_map, list(swept)
         if not cells:
             continue
         centres = (np.array(cells) + 0.5) * cell_m
-        for cell, seen in zip(
-            cells, _are_seen(caster, camera.model, T_world_cam, centres, t_s, config.range_m), strict=True
-        ):
+        for cell, seen in zip(cells, _are_seen(caster, depth, centres, t_s, config), strict=True):
             swept[cell][1] += float(seen)
         states = grid.at(centres)
         for cell, state in zip(cells, states.tolist(), strict=True):
@@ -132,6 +155,8 @@ def mover_rows(folder: Path, config: DenseMapConfig) -> list[Row]:
     rows: list[Row] = []
     for age, found in still.items():
         occupied, again = np.array(found, bool).reshape(-1, 2).T
+        if not again.any():
+            continue
         rows.append(
             {
                 "after": f"{age:g} s",
@@ -152,21 +177,20 @@ def _cells(points: Array, cell_m: float, margin: int) -> set[tuple[int, ...]]:
     return set(map(tuple, np.unique((cells[:, None] + around).reshape(-1, 3), axis=0).tolist()))
 
 
-def _are_seen(
-    caster: RayCaster, model: CameraModel, T_world_cam: Array, points: Array, t_s: float, range_m: float
-) -> Array:
-    """Return which points (N, 3) the camera sees through, as a mask (N,): nothing is in front of them or in them."""
-    rays = (points - T_world_cam[:3, 3]) @ T_world_cam[:3, :3]
+def _are_seen(caster: RayCaster, depth: DepthImage, centres: Array, t_s: float, config: DenseMapConfig) -> Mask:
+    """Return which cells (N,) a depth image shows to the edges, with nothing in front of their centres or in them."""
+    camera, T = depth.camera, depth.T_odom_cam
+    rays, reach_m = (centres - T[:3, 3]) @ T[:3, :3], 0.5 * np.sqrt(3.0) * config.cell_m
     distance = np.linalg.norm(rays, axis=1)
-    pixels = model.project(rays)
-    with np.errstate(invalid="ignore"):
-        size = [model.width - 1.0, model.height - 1.0]
-        inside = (rays[:, 2] > 0.2) & (rays[:, 2] < range_m - 0.5) & np.all((pixels > 0.0) & (pixels < size), axis=1)
-    seen = np.zeros(len(points), bool)
-    if inside.any():
-        ranges = caster.ranges_m(T_world_cam[None], rays[inside] / distance[inside, None], 40.0, t_s)[0]
-        seen[inside] = ranges > distance[inside] + 0.3
-    return seen
+    seen = (rays[:, 2] > 0.4) & (rays[:, 2] < config.range_m - reach_m)
+    pixels = rays[seen] @ camera.K.T / rays[seen, 2:]
+    edge_px = reach_m * camera.K[0, 0] / (rays[seen, 2:] - reach_m)
+    size = np.array([camera.width, camera.height])
+    seen[seen] = np.all((pixels[:, :2] > edge_px) & (pixels[:, :2] < size - 1.0 - edge_px), axis=1)
+    if seen.any():
+        bearings = rays[seen] / distance[seen, None]
+        seen[seen] = caster.ranges_m(T[None], bearings, 40.0, t_s)[0] > distance[seen] + 0.3
+    return np.asarray(seen)
 
 
 # --- a loop
@@ -405,7 +429,7 @@ def long_rows(scenarios: Sequence[Scenario], rig: Rig, config: DenseMapConfig) -
     fused_s, grown_mb = time.process_time() - before, rss_mb() - start_mb
     if grid is not None:
         known_m3 = float((grid.states != UNKNOWN).sum()) * grid.cell_m**3
-        box_m3, packed_mb = grid.states.size * grid.cell_m**3, run.mapper._store.memory_bytes / 1e6
+        box_m3, packed_mb = grid.states.size * grid.cell_m**3, run.mapper.packed_bytes / 1e6
         print(
             f"fused: {known_m3:.0f} m³ known of {box_m3:.0f} m³, in {fused_s:.1f} s; packed submaps {packed_mb:.2f} MB,"
             f" {1e3 * packed_mb / known_m3:.2f} MB per 1000 m³ known; process {grown_mb:.0f} MB larger than before",

@@ -130,6 +130,11 @@ class DenseMapper:
             PlacedSubmap(s.anchor.number, s.anchor.track, s.anchor.t_ns, T, s.log_odds.grid(cell_m)) for s, T in loaded
         )
 
+    @property
+    def packed_bytes(self) -> int:
+        """Size of all submaps in their packed form, in memory and in files [B]."""
+        return sum(len(_loaded(submap).data) for submap, _ in self._all_placed())
+
     def fused(self, low_m: Array | None = None, high_m: Array | None = None) -> OccupancyGrid | None:
         """Return the map of all submaps that are joined with it, in the map frame; None without one.
 

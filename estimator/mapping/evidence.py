@@ -6,12 +6,13 @@ cell is occupied if the point of a pixel lies in it. Behind surfaces nothing is 
 """
 
 from dataclasses import dataclass
+from functools import reduce
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.mapping.nearest_depth import NearestDepths, Pixels, Values
+from dronevio.estimator.mapping.nearest_depth import NearestDepths, Pixels, Values, halved
 from dronevio.models.arrays import Array, Floats, Integers
 from dronevio.models.depth import DepthImage, Pinhole
 
@@ -19,11 +20,11 @@ FREE_LOG_ODDS = -0.4
 """Log-odds of a cell in front of the depths of its footprint."""
 OCCUPIED_LOG_ODDS = 1.5
 """Log-odds of a cell that contains a depth without error."""
-FREE_SIGMAS = 2.0
+FREE_SIGMAS = 1.5
 """Standard deviations in front of a depth of which nothing is said."""
 FULL_BLOCKS = 3.0
 """Number of blocks of pixels whose points in a cell are full evidence that it is occupied."""
-HOLE_PX = 15
+HOLE_PX = 13
 """Length of holes in the depth that may hide a thing; an odd number [px]."""
 _STEPS = 65535.0
 """Steps of the quantized depths."""
@@ -93,23 +94,34 @@ def _add_free(
     log_odds: Floats, low: Integers, shape: tuple[int, int, int], depth: DepthImage, cell_m: float, far_m: float
 ) -> None:
     """Write the log-odds of the cells that are free into those of a box."""
-    camera, R = depth.camera, depth.T_odom_cam[:3, :3]
-    # All of a cell projects into a square around its centre, with half side radius_m / (z − half_m) at depth 1.
-    half_m = 0.5 * cell_m * float(np.abs(R[:, 2]).sum())
-    radius_m = max(
-        0.5 * cell_m * float(np.abs(R[:, axis] - slope * R[:, 2]).sum()) * camera.K[axis, axis]
-        for axis in (0, 1)
-        for slope in _slopes(camera)[axis]
-    )
-    windows = NearestDepths.of(_free_to(depth, far_m), radius_m / far_m + 0.5)
-    near_m = half_m + radius_m / (windows.reach_px[-1] - 0.5)
+    R = depth.T_odom_cam[:3, :3]
+    half_m = np.float32(0.5 * cell_m * float(np.abs(R[:, 2]).sum()))
+    of_column, of_row = (_half_sides(depth.camera, R, axis, cell_m) for axis in (0, 1))
+    least, most = max(of_column.min(), of_row.min()), max(of_column.max(), of_row.max())
+    windows = NearestDepths.of(_free_to(depth, far_m), float(least) / far_m + 0.5)
+    near_m = float(half_m + most / (windows.reach_px[-1] - 0.5))
     if near_m >= far_m - half_m:
         return
-    cells, z, u, v = _cells_in_view(low, shape, depth, cell_m, near_m, far_m - half_m)
-    radius = np.ceil(np.float32(radius_m) / (z - np.float32(half_m)) + np.float32(0.499)).astype(np.int32)
-    free_to = windows.at(u, v, radius)
-    is_free = (z + np.float32(half_m)) * np.float32(_STEPS / far_m) <= free_to
-    log_odds[cells[is_free]] = FREE_LOG_ODDS
+    cells, z, u, v = _cells_in_view(low, shape, depth, cell_m, near_m, float(far_m - half_m))
+    # All pixels of which a part lies in the footprint
+    radius = (np.maximum(np.take(of_column, u), np.take(of_row, v)) / (z - half_m) + np.float32(1.499)).astype(np.int32)
+    is_free = (z + half_m) * np.float32(_STEPS / far_m) <= windows.at(u, v, radius)
+    log_odds[cells] = np.where(is_free, np.float32(FREE_LOG_ODDS), np.float32(0.0))
+
+
+def _half_sides(camera: Pinhole, R: Array, axis: int, cell_m: float) -> Floats:
+    """Return half the sides of the footprints of cells by the column, or row, of their centres, times z − h [px m].
+
+    Args:
+        camera: Camera of the depth image.
+        R: (3, 3) Its orientation in the lattice.
+        axis: 0 for columns, 1 for rows.
+        cell_m: Side of the cells [m].
+    """
+    f, size = camera.K[axis, axis], (camera.width, camera.height)[axis]
+    slopes = (np.arange(size + 1) - 0.5 - camera.K[axis, 2]) / f  # at the edges of the pixels
+    sides = 0.5 * cell_m * f * np.abs(R[:, axis] - slopes[:, None] * R[:, 2]).sum(axis=1)
+    return np.asarray(np.maximum(sides[:-1], sides[1:]), np.float32)
 
 
 def _free_to(depth: DepthImage, far_m: float) -> Values:
@@ -118,17 +130,16 @@ def _free_to(depth: DepthImage, far_m: float) -> Values:
     Matchers reject single pixels of smooth surfaces, and all pixels along thin things such as poles. A pixel of unknown
     depth is therefore as near as its surroundings if no line through it is unknown for `HOLE_PX`, otherwise unknown.
     """
-    steps = _STEPS / far_m
-    free_to = cv2.addWeighted(depth.depth_m, steps, depth.sigma_m, -FREE_SIGMAS * steps, 0.0, dtype=cv2.CV_16U)
+    free_to = _in_steps(depth.depth_m, depth.sigma_m, 1.0, -FREE_SIGMAS, far_m)
     is_known = depth.known.view(np.uint8)
     around = cv2.erode(free_to - (is_known == 0), np.ones((HOLE_PX, HOLE_PX), np.uint8))  # 0 - 1 is the largest value
-    in_small = np.bitwise_and.reduce([cv2.morphologyEx(is_known, cv2.MORPH_CLOSE, line) for line in _LINES])
+    in_small = reduce(np.bitwise_and, (cv2.morphologyEx(is_known, cv2.MORPH_CLOSE, line) for line in _LINES))
     return np.asarray(np.where(depth.known, free_to, around * in_small), np.uint16)
 
 
 def _cells_in_view(
     low: Integers, shape: tuple[int, int, int], depth: DepthImage, cell_m: float, near_m: float, far_m: float
-) -> tuple[Pixels, Floats, Pixels, Pixels]:
+) -> tuple[Integers, Floats, Pixels, Pixels]:
     """Return the cells of a box whose centres are in view between two depths.
 
     Each column of cells along the third axis leaves the half-spaces of the frustum at a cell that follows from a
@@ -176,7 +187,7 @@ def _cells_in_view(
     inverse = np.float32(1.0) / z
     u = (np.repeat(start[0], count) + np.float32(step[0]) * k) * inverse
     v = (np.repeat(start[1], count) + np.float32(step[1]) * k) * inverse
-    cells = np.repeat((seen * shape[2]).astype(np.int32) + begin_of, count) + within
+    cells = np.repeat(seen * shape[2] + begin_of, count) + within
     column, row = ((pixel + np.float32(0.5)).astype(np.int32) for pixel in (u, v))
     return np.asarray(cells), np.asarray(z), column, row
 
@@ -185,36 +196,40 @@ def _add_occupied(
     log_odds: Floats, low: Integers, shape: tuple[int, int, int], depth: DepthImage, cell_m: float, far_m: float
 ) -> None:
     """Write the log-odds of the cells that contain points of pixels into those of a box."""
-    R, camera = depth.T_odom_cam[:3, :3], depth.camera
-    values, sigma, block = _nearest_of_blocks(depth, 0.5 * camera.K[0, 0] * cell_m / far_m)
-    used = (values > 0.0) & (values < far_m)
-    d, sigma = values[used], sigma[used]
-    v, u = (axis.astype(np.float32) for axis in np.nonzero(used))
+    R, camera, step_m = depth.T_odom_cam[:3, :3], depth.camera, np.float32(far_m / _STEPS)
+    nearest, sigma, block = _least_of_blocks(depth, 0.5 * camera.K[0, 0] * cell_m / far_m, far_m)
+    d, used = nearest * step_m, np.flatnonzero(nearest < _STEPS)
     # Cell of pixel (u, v) of the blocks: (A @ (u, v, 1)) d + b.
     to_pixel = np.array([[block, 0.0, 0.5 * (block - 1)], [0.0, block, 0.5 * (block - 1)], [0.0, 0.0, 1.0]])
     A = (R @ np.linalg.inv(camera.K) @ to_pixel / cell_m).astype(np.float32)
     origin = (depth.T_odom_cam[:3, 3] / cell_m - low).astype(np.float32)
+    v, u = (np.arange(size, dtype=np.float32) for size in d.shape)
     i, j, k = (
-        np.clip((a[0] * u + a[1] * v + a[2]) * d + b, 0.0, size - 1.0).astype(np.int32)
+        np.clip((a[0] * u + (a[1] * v + a[2])[:, None]) * d + b, 0.0, size - 1.0).astype(np.int32)
         for a, b, size in zip(A, origin, shape, strict=True)
     )
-    cell = (i * shape[1] + j) * shape[2] + k
+    cell = np.take((i * shape[1] + j) * shape[2] + k, used)
     share = np.minimum(np.bincount(cell)[cell] * np.float32(1.0 / FULL_BLOCKS), np.float32(1.0))
     # Squared probability that the error leaves the point in its cell, within a fifth.
-    weight = 1.0 / (1.0 + np.float32(2.0 * np.pi / cell_m**2) * sigma * sigma)
+    weight = 1.0 / (1.0 + (np.float32(np.sqrt(2.0 * np.pi) / cell_m) * step_m * np.take(sigma, used)) ** 2)
     log_odds[cell] = np.float32(OCCUPIED_LOG_ODDS) * weight * share
 
 
-def _nearest_of_blocks(depth: DepthImage, least_px: float) -> tuple[Floats, Floats, int]:
-    """Return the nearest known depth of blocks of pixels, its standard deviation, and the side of the blocks [px].
+def _least_of_blocks(depth: DepthImage, least_px: float, far_m: float) -> tuple[Values, Values, int]:
+    """Return the least depth of blocks of pixels, their least standard deviation, and the side of the blocks [px].
 
-    Blocks are as large as ``least_px`` allows. Thin things in front of others stay.
+    Blocks are as large as ``least_px`` allows. Thin things in front of others stay. Values are in steps of ``far_m`` /
+    65535; where all depths are unknown or beyond, they are the largest.
     """
-    values, sigma, block = np.where(depth.known, depth.depth_m, np.float32(np.inf)), depth.sigma_m, 1
+    values, block = [_in_steps(image, image, 1.0, 0.0, far_m) for image in (depth.depth_m, depth.sigma_m)], 1
+    values = [each - (values[0] == 0) for each in values]  # 0 - 1 is the largest value
     while 2 * block <= least_px:
-        for _ in range(2):  # along the rows, then along the columns
-            even = values.shape[0] // 2 * 2
-            nearer = values[0:even:2] <= values[1:even:2]
-            values, sigma = (np.where(nearer, a[0:even:2], a[1:even:2]).T for a in (values, sigma))
-        block *= 2
-    return values, sigma, block
+        height, width = (size // 2 * 2 for size in values[0].shape)
+        values, block = [halved(each[:height, :width]) for each in values], 2 * block
+    return values[0], values[1], block
+
+
+def _in_steps(a: Floats, b: Floats, of_a: float, of_b: float, far_m: float) -> Values:
+    """Return a weighted sum of two images (H, W) in steps of ``far_m`` / 65535, limited to their range."""
+    steps = _STEPS / far_m
+    return np.asarray(cv2.addWeighted(a, of_a * steps, b, of_b * steps, 0.0, dtype=cv2.CV_16U), np.uint16)

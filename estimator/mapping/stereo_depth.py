@@ -12,7 +12,8 @@ import numpy as np
 
 from dronevio.estimator.mapping.camera_pose import delay_s, pose_after
 from dronevio.estimator.mapping.rectification import Rectification
-from dronevio.estimator.mapping.refinement import edges, least_squares_step, speckles
+from dronevio.estimator.mapping.refinement import least_squares_step
+from dronevio.estimator.mapping.rejection import borrowed, edges, slopes, speckles, variance_around
 from dronevio.models.arrays import Floats, Image
 from dronevio.models.depth import DepthImage
 from dronevio.models.rig import Rig
@@ -20,8 +21,8 @@ from dronevio.models.state import CameraFrame, Estimate
 
 NEAREST_M = 0.4
 """Smallest depth that is searched [m]."""
-FLOOR_PX = 0.13
-"""Standard deviation of the disparity by calibration, interpolation and slanted surfaces [px]."""
+FLOOR_PX = 0.06
+"""Standard deviation of the disparity by calibration and interpolation [px]."""
 MAX_SIGMA_PX = 0.6
 """Largest standard deviation of a disparity that is used [px]."""
 MAX_STEP_PX = 0.8
@@ -94,18 +95,24 @@ class StereoDepth:
         right = self._equalised(left, right)
         coarse = self._matched(left, right)
         known = (coarse > 0.0) & (coarse < self._disparities - 2)  # what is nearer is matched to the last ones
-        step, sigma = self._refined(left, right, coarse)
+        warped = self._warped(right, coarse)
+        grey = left.astype(np.float32)
+        gradient = np.float32(-0.5) * (_derivative(grey) + _derivative(warped))
+        step, sigma = least_squares_step(grey, warped, gradient)
         disparity = coarse + step
         known &= (disparity > 0.0) & (np.abs(step) <= MAX_STEP_PX) & (sigma <= MAX_SIGMA_PX)
         # A match outside the right image is none
         in_right = cv2.remap(self._masks[1], self._columns - disparity, self._rows, cv2.INTER_NEAREST)
         known &= (np.asarray(in_right) > 0) & (self._masks[0] > 0)
-        cut, beside = edges(np.where(known, coarse, np.float32(0.0)), coarse)
-        known &= ~cut
-        known &= ~speckles(np.where(known, disparity, np.float32(0.0)))
-        sigma = np.sqrt(sigma * sigma + beside * beside + np.float32(FLOOR_PX**2 + shift_px**2))
+        # A depth counts where the pixel, and not what is beside it, tells it
         zero = np.float32(0.0)
-        return np.where(known, disparity, zero), np.where(known, sigma, zero)
+        slope = slopes(coarse)
+        known &= ~edges(np.where(known, coarse, zero), coarse, slope)
+        known &= ~borrowed(np.where(known, disparity, zero), gradient * gradient)
+        known &= ~speckles(np.where(known, disparity, zero))
+        disparity = np.where(known, disparity, zero)
+        variance = sigma * sigma + variance_around(disparity, coarse, slope) + np.float32(FLOOR_PX**2 + shift_px**2)
+        return disparity, np.where(known, np.sqrt(variance), zero)
 
     def _matched(self, left: Image, right: Image) -> Floats:
         """Return the disparities (H, W) of the matcher [px]; not more than 0 where there is none."""
@@ -122,13 +129,11 @@ class StereoDepth:
         gain = float(np.clip(s / t, 0.5, 2.0)) if t > 0.0 else 1.0
         return np.asarray(cv2.addWeighted(right, gain, right, 0.0, m - gain * n))
 
-    def _refined(self, left: Image, right: Image, disparity: Floats) -> tuple[Floats, Floats]:
-        """Return the steps (H, W) from disparities to those of least squares, and standard deviations (H, W) [px]."""
-        R = right.astype(np.float32)
-        warped = cv2.remap(R, self._columns - disparity, self._rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        L = left.astype(np.float32)
-        gradient = np.float32(-0.5) * (_derivative(L) + _derivative(np.asarray(warped)))
-        return least_squares_step(L, np.asarray(warped), gradient)
+    def _warped(self, right: Image, disparity: Floats) -> Floats:
+        """Return the right image (H, W) warped into the left one by disparities."""
+        columns = self._columns - disparity
+        image = right.astype(np.float32)
+        return np.asarray(cv2.remap(image, columns, self._rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
     def _shift_px(self, frame: CameraFrame, estimate: Estimate) -> float:
         """Return how far the right image moves between the two exposures, at the smallest depth of free flight [px]."""

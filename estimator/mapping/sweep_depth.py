@@ -16,7 +16,8 @@ from dronevio.estimator.dense.sgm import Sums, aggregate, subpixel_minimum
 from dronevio.estimator.dense.sweep import SCALE, Warp, sweep
 from dronevio.estimator.dense.views import Undistortion, View
 from dronevio.estimator.mapping.camera_pose import delay_s, pose_after
-from dronevio.estimator.mapping.refinement import edges, least_squares_step, speckles
+from dronevio.estimator.mapping.refinement import least_squares_step
+from dronevio.estimator.mapping.rejection import borrowed, edges, slopes, speckles, variance_around
 from dronevio.models.arrays import Floats, Integers, Mask
 from dronevio.models.depth import DepthImage
 from dronevio.models.rig import Rig
@@ -39,9 +40,9 @@ MAX_TURN_DEG = 25.0
 NEAREST_M = 0.5
 """Smallest depth that is searched [m]."""
 MAX_PLANES = 64
-POSE_PX = 0.25
+POSE_PX = 0.14
 """Standard deviation of the place of a pixel in another image by the estimated motion [px]."""
-SCALE_SIGMA = 0.02
+SCALE_SIGMA = 0.012
 """Standard deviation of the length of the estimated motion, as a share of it."""
 MAX_SIGMA_STEPS = 0.75
 """Largest standard deviation of an inverse depth, in steps of a pixel between the planes."""
@@ -132,11 +133,13 @@ def inverse_depth(reference: View, sources: Sequence[View]) -> tuple[Floats, Flo
     known = reference.mask & (index > 0) & (index < count - 1) & _is_unique(total, index)
     known &= np.take_along_axis(costs, index[:, None], axis=1)[:, 0] <= SCALE * MAX_COST
     # Refinement, to which each source contributes its information
-    information, weighted = np.zeros_like(matched), np.zeros_like(matched)
+    information, weighted, squares = (np.zeros_like(matched) for _ in range(3))
     for warp in warps:
         moved = _moved_px(warp, matched, spacing)
         before, here, after = (np.maximum(warp.surface(matched + k * spacing), 0.0) for k in (-0.5, 0.0, 0.5))
-        change, sigma = least_squares_step(reference.grey, here, (after - before) / spacing)
+        gradient = (after - before) / spacing
+        change, sigma = least_squares_step(reference.grey, here, gradient)
+        squares += gradient * gradient
         weight = 1.0 / (sigma * sigma + (POSE_PX / moved) ** 2)
         information += weight
         weighted += weight * change
@@ -145,12 +148,14 @@ def inverse_depth(reference: View, sources: Sequence[View]) -> tuple[Floats, Flo
     w = matched + change
     sigma = np.sqrt(np.divide(1.0, information, out=np.zeros_like(matched), where=known) + (SCALE_SIGMA * w) ** 2)
     known &= (w > 0.0) & (np.abs(change) <= spacing) & (sigma <= MAX_SIGMA_STEPS * step + SCALE_SIGMA * w)
-    pixels = np.float32(1.0 / step)
-    cut, beside = edges(np.where(known, w * pixels, np.float32(0.0)), np.where(index > 0, matched * pixels, 0.0))
-    known &= ~cut
-    sigma = np.hypot(sigma, beside / pixels)
-    known &= ~speckles(np.where(known, w * pixels, np.float32(0.0)))
-    zero = np.float32(0.0)
+    # A depth counts where the pixel, and not what is beside it, tells it
+    zero, pixels = np.float32(0.0), np.float32(1.0 / step)
+    matched = np.where(index > 0, matched * pixels, zero)
+    slope = slopes(matched)
+    known &= ~edges(np.where(known, w * pixels, zero), matched, slope)
+    known &= ~borrowed(np.where(known, w * pixels, zero), squares)
+    known &= ~speckles(np.where(known, w * pixels, zero))
+    sigma = np.sqrt(sigma * sigma + variance_around(np.where(known, w * pixels, zero), matched, slope) / pixels**2)
     return np.where(known, w, zero).astype(np.float32), np.where(known, sigma, zero).astype(np.float32)
 
 

@@ -54,7 +54,9 @@ def are_falsely_free(grid: OccupancyGrid, surface: Array) -> Mask:
         grid: The grid.
         surface: (N, 3) Points of the true surface in the frame of the grid [m].
     """
-    return np.asarray(np.isinf(warning_distances_m(grid, surface)))
+    wrong = grid.at(surface) == FREE  # any other cell warns of what it contains
+    wrong[wrong] = np.isinf(warning_distances_m(grid, surface[wrong]))
+    return np.asarray(wrong)
 
 
 def state_shares(grid: OccupancyGrid, points: Array) -> StateShares:

@@ -1,6 +1,7 @@
 """Batch plant: the physics of many quadrotors of one type in one world, stepped together by `mujoco.batch`."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -21,12 +22,13 @@ from dronevio.sim.physics.batch_motion import (
     specific_forces,
     velocities_of,
 )
-from dronevio.sim.physics.batch_simulation import FASTEST, BatchSimulation
+from dronevio.sim.physics.batch_simulation import FASTEST, BatchSimulation, Interval
 from dronevio.sim.physics.batch_state import PlantState, PointSamples, SavedPlant
 from dronevio.sim.physics.collisions import Moving
 from dronevio.sim.physics.motion import extrapolated_back
+from dronevio.sim.physics.mover_contacts import BatchMoverContacts
 from dronevio.sim.physics.rotors import Airflow, Rotors
-from dronevio.sim.physics.vehicle import LONGEST_STEP_S, imu_interval_ns, physics_spec, standing_pose
+from dronevio.sim.physics.vehicle import LONGEST_STEP_S, imu_interval_ns, meeting_spec, physics_spec, standing_pose
 from dronevio.sim.physics.vehicle_states import Rows, VehicleParameters, VehicleStates, with_rows
 from dronevio.sim.physics.wind import CALM, BatchAir, Winds
 
@@ -85,7 +87,11 @@ class BatchPlant:
         self._step_s = self.interval_s / substeps
         self._ground_m = ground_m
         spec = physics_spec(self.quadrotor, rig, self._step_s, surroundings)
-        self._simulation = BatchSimulation(spec, count, substeps, imu, nthread, movers)
+        self._simulation = BatchSimulation(spec, count, substeps, imu, nthread)
+        self._movers: BatchMoverContacts | None = None
+        if surroundings is not None and movers:
+            meeting = meeting_spec(self.quadrotor, rig, surroundings)
+            self._movers = BatchMoverContacts(meeting, movers, self.interval_s, count, nthread)
         self.standing_height_m = float(standing_pose(self.quadrotor, rig, self._step_s)[2])
         """Height of the centre of mass above the floor when a drone of the type stands on its feet [m]."""
         self._air = BatchAir(Winds.of(CALM, count), rng or np.random.default_rng(0))
@@ -193,7 +199,7 @@ class BatchPlant:
         motion = self._simulation.motion(rows)
         wrench = model.wrench(rotors, self._airflow(motion, rows))
         elapsed = np.zeros(rows.size, dtype=np.int64)
-        flown = self._simulation.run(rows, motion, wrench, nothing, nothing, elapsed)
+        flown = self._run(rows, motion, wrench, nothing, nothing, elapsed)
         between, samples = np.zeros((3, rows.size)), self.now.samples.rows(rows)
         if flown.middle is not None:
             before = extrapolated_back(flown.start, flown.middle)  # to before t = 0
@@ -214,7 +220,7 @@ class BatchPlant:
         rotors = self._rotors.step(now.rotors, commands, self.interval_s)
         motion = self._simulation.motion(_ALL)
         wrench = self._rotors.wrench(rotors, self._airflow(motion, _ALL))
-        flown = self._simulation.run(_ALL, motion, wrench, now.touched, diverged, now.elapsed + 1)
+        flown = self._run(_ALL, motion, wrench, now.touched, diverged, now.elapsed + 1)
         between, samples = now.velocity_between, now.samples
         if flown.middle is not None:
             between, samples = self._sample(flown.start, between, flown.middle)
@@ -222,6 +228,19 @@ class BatchPlant:
             now.parameters, rotors, now.elapsed + 1, flown.touched, flown.diverged, flown.start, between, samples
         )
         return samples
+
+    def _run(
+        self, rows: Rows, motion: Array, wrench: Array, touched: Mask, diverged: Mask, number: npt.NDArray[np.int64]
+    ) -> Interval:
+        """Run k simulations for an interval, which a number (k,) of others precedes, and find the contacts at its end.
+
+        The other arguments are those of `BatchSimulation.run`.
+        """
+        flown = self._simulation.run(rows, motion, wrench, touched, diverged)
+        if self._movers is None:
+            return flown
+        indices, pose = np.arange(self.count)[rows], self._simulation.motion(rows)[:7].T
+        return replace(flown, touched=flown.touched | self._movers.detect(indices, number + 1, pose))
 
     def _airflow(self, motion: Array, rows: Rows) -> Airflow:
         """Return the airflow at k vehicles, and advance the gusts by the distance of an interval."""

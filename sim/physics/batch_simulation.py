@@ -1,6 +1,5 @@
 """Simulations of many vehicles of one type in one world by `mujoco.batch`."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -10,10 +9,9 @@ from mujoco.batch import Batch
 
 from dronevio.models.arrays import Array, Mask
 from dronevio.models.rotation import quat_wxyz_from_matrix
-from dronevio.sim.physics.batch_contacts import BatchContacts
-from dronevio.sim.physics.collisions import Moving
+from dronevio.sim.physics.clearance_grid import ClearanceGrid
+from dronevio.sim.physics.contact_sensors import ContactSensors
 from dronevio.sim.physics.motion import middle_of_interval
-from dronevio.sim.physics.mover_table import MoverTable
 from dronevio.sim.physics.vehicle_states import Rows, VehicleParameters, VehicleStates
 
 Indices = npt.NDArray[np.intp]
@@ -21,6 +19,7 @@ Indices = npt.NDArray[np.intp]
 FASTEST = 1e4
 """Largest component of a velocity [m/s] or angular velocity [rad/s] that is not divergence."""
 _NONE = np.zeros(0, dtype=np.intp)
+_SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 _RECORDED = int(mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL)
 
 
@@ -41,19 +40,12 @@ class Interval:
 class BatchSimulation:
     """n simulations of a vehicle, which advance by IMU intervals; k of them may be selected by rows.
 
-    Moving objects are not part of the physics: a contact is found at the end of an interval for the vehicles that are
-    near one, and does not push them.
+    There are two batches. Most vehicles can touch nothing during an interval: they are simulated in an empty world,
+    with one `mujoco.MjData` for each thread. The others are simulated among the solids, with one each, since only then
+    can the kinematics of thousands of static geoms be left out of the steps.
     """
 
-    def __init__(
-        self,
-        spec: mujoco.MjSpec,
-        count: int,
-        substeps: int,
-        recorded: bool,
-        nthread: int,
-        movers: Sequence[Moving] = (),
-    ) -> None:
+    def __init__(self, spec: mujoco.MjSpec, count: int, substeps: int, recorded: bool, nthread: int) -> None:
         """Compile the model.
 
         Args:
@@ -62,43 +54,41 @@ class BatchSimulation:
             substeps: Number of time steps of an IMU interval.
             recorded: Whether the motion in the middle of an interval is wanted.
             nthread: Number of threads; 0 means one for each processor.
-            movers: All moving objects of the model.
         """
-        self._detector = BatchContacts(spec, count, nthread)
-        self._movers = MoverTable(self._detector.model, movers, substeps * spec.option.timestep) if movers else None
-        spec = spec.copy()
-        for mover in movers:
-            spec.delete(spec.body(mover.body))
+        spec, empty = spec.copy(), spec.copy()
+        for geom in empty.worldbody.geoms:
+            empty.delete(geom)
+        empty.option.enableflags &= ~_SLEEP
+        self._sensors = ContactSensors(spec)
         model = spec.compile()
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        self._body = model.body("quadrotor").id
-        self._batch = Batch(model, count, nthread, persistent=True)
-        self._pose, self._twist = self._batch.bind("qpos"), self._batch.bind("qvel")
-        self._control, self._contacts = self._batch.bind("ctrl"), self._batch.bind("ncon")
-        self._masses, self._inertias = self._batch.expand("body_mass"), self._batch.expand("body_inertia")
-        self._batch.set_const()
-        self._substeps = substeps
-        self._record = np.zeros((count, substeps, 13)) if recorded else None
+        self._grid = ClearanceGrid(model, substeps * model.opt.timestep)
+        self._free = _batch(empty.compile(), count, nthread)
+        self._near = _batch(model, count, nthread)
+        self._pose, self._twist = self._free.bind("qpos"), self._free.bind("qvel")
+        self._control, self._sensed = self._free.bind("ctrl"), self._near.bind("sensordata")
+        self._substeps, self._recorded = substeps, recorded
 
     def save(self) -> Array:
         """Return the states (n, S) of MuJoCo."""
-        return np.array(self._batch.state)
+        return np.array(self._free.state)
 
     def restore(self, saved: Array, parameters: VehicleParameters) -> None:
         """Return to states (n, S) of vehicles with given parameters."""
         self.change_bodies(np.arange(len(saved)), parameters)
-        self._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
-        self._batch.state[:] = saved
+        self._free.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+        self._free.state[:] = saved
 
     def change_bodies(self, rows: Indices, parameters: VehicleParameters) -> None:
         """Give k bodies the masses and moments of inertia of k vehicles."""
-        self._masses[rows, self._body] = parameters.mass_kg
-        self._inertias[rows, self._body] = parameters.inertia_kg_m2
-        self._batch.set_const(rows)
+        for batch in (self._free, self._near):
+            body = batch.model.body("quadrotor").id
+            batch.expand("body_mass")[rows, body] = parameters.mass_kg
+            batch.expand("body_inertia")[rows, body] = parameters.inertia_kg_m2
+            batch.set_const(rows)
 
     def place(self, rows: Indices, states: VehicleStates) -> None:
         """Reset k simulations to the states of k vehicles."""
-        self._batch.reset(rows, stage=mujoco.mjtStage.mjSTAGE_NONE)
+        self._free.reset(rows, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._pose[rows, :3] = states.position_m
         self._pose[rows, 3:] = quat_wxyz_from_matrix(states.R_world_vehicle)
         self._twist[rows, :3] = states.velocity_m_s
@@ -108,9 +98,7 @@ class BatchSimulation:
         """Return the motion (13, k) of the physics."""
         return np.concatenate([self._pose[rows].T, self._twist[rows].T])
 
-    def run(
-        self, rows: Rows, start: Array, wrench: Array, touched: Mask, diverged: Mask, number: npt.NDArray[np.int64]
-    ) -> Interval:
+    def run(self, rows: Rows, start: Array, wrench: Array, touched: Mask, diverged: Mask) -> Interval:
         """Run k simulations for an interval. A diverging vehicle is held at its pose at the start.
 
         Args:
@@ -119,57 +107,61 @@ class BatchSimulation:
             wrench: (k, 6) Constant forces [N] and torques [N m].
             touched: (k,) Which vehicles have collided before.
             diverged: (k,) Which simulations have diverged before.
-            number: (k,) Number of intervals before this one in each episode.
         """
         self._control[rows] = wrench
-        middle = self._stepped(None if isinstance(rows, slice) else rows)
-        touched = self._touching(rows, touched, number)
+        indices = np.arange(len(self._pose))[rows]
+        near = ~self._grid.clear(start[:3], start[7:10])
+        middle = np.empty((13, len(near))) if self._recorded else None
+        for batch, some in ((self._free, ~near), (self._near, near)):
+            if some.any():
+                moved = self._stepped(batch, indices[some])
+                if middle is not None:
+                    middle[:, some] = moved
+        if near.any():
+            touched = touched.copy()
+            finite = np.isfinite(self._pose[indices[near]]).all(axis=1)
+            touched[near] |= finite & self._sensors.collide(self._sensed[indices[near]])
         stopped = self._diverging(rows, diverged)
         if stopped.size:
             diverged, start = diverged.copy(), start.copy()
             diverged[stopped], start[7:, stopped] = True, 0.0
-            indices = self._indices(rows)[stopped]
-            self._batch.reset(indices, stage=mujoco.mjtStage.mjSTAGE_NONE)
+            indices = indices[stopped]
+            self._free.reset(indices, stage=mujoco.mjtStage.mjSTAGE_NONE)
             self._pose[indices], self._twist[indices] = start[:7, stopped].T, 0.0
             if middle is not None:
                 middle[:, stopped] = start[:, stopped]
         return Interval(start, middle, touched, diverged)
 
-    def _stepped(self, ids: Indices | None) -> Array | None:
-        """Run some simulations, or all, for an interval; return the motion (13, k) in its middle if it is recorded."""
-        substeps = self._substeps
-        if self._record is None:
-            self._batch.step(ids, substeps)
-            return None
-        record = self._record if ids is None else np.empty((len(ids), substeps, 13))
-        self._batch.rollout(substeps, record=[_RECORDED], ids=ids, out={_RECORDED: record})
-        half = substeps // 2
-        return middle_of_interval(np.array(record[:, half - 1].T, order="C"), record[:, half].T, substeps)
-
-    def _touching(self, rows: Rows, touched: Mask, number: npt.NDArray[np.int64]) -> Mask:
-        """Return which of k vehicles have collided, given those (k,) that had before."""
-        near = self._contacts[rows] > 0
-        if self._movers is not None:
-            near |= self._movers.near(number, self._pose[rows, :3])
-        candidates = np.flatnonzero(near & ~touched)
-        if not candidates.size:
-            return touched
-        indices, touched = self._indices(rows)[candidates], touched.copy()
-        finite = np.isfinite(self._pose[indices]).all(axis=1)
-        candidates, indices = candidates[finite], indices[finite]
-        moving = None if self._movers is None else self._movers.at(number[candidates])
-        touched[candidates] = self._detector.detect(indices, self._pose[indices], moving)
-        return touched
+    def _stepped(self, batch: Batch, ids: Indices) -> Array | None:
+        """Run k simulations of a batch for an interval; return the motion (13, k) in its middle if it is recorded."""
+        if batch is not self._free:
+            batch.state[ids], batch.warning[ids] = self._free.state[ids], 0
+        middle = None
+        if self._recorded:
+            record, half = np.empty((len(ids), self._substeps, 13)), self._substeps // 2
+            batch.rollout(self._substeps, record=[_RECORDED], ids=ids, out={_RECORDED: record})
+            middle = middle_of_interval(np.array(record[:, half - 1].T, order="C"), record[:, half].T, self._substeps)
+        else:
+            batch.step(ids, self._substeps)
+        if batch is not self._free:
+            self._free.state[ids], self._free.warning[ids] = batch.state[ids], batch.warning[ids]
+        return middle
 
     def _diverging(self, rows: Rows, diverged: Mask) -> Indices:
         """Return which of k simulations diverge, as indices into them, with those (k,) that have before."""
-        pose, twist, warning = self._pose[rows], self._twist[rows], self._batch.warning[rows, :, 1]
+        pose, twist, warning = self._pose[rows], self._twist[rows], self._free.warning[rows, :, 1]
         slow = np.abs(pose).max() < FASTEST and np.abs(twist).max() < FASTEST  # false for NaN
         if slow and not warning.any() and not diverged.any():
             return _NONE
         valid = (np.abs(pose) < FASTEST).all(axis=1) & (np.abs(twist) < FASTEST).all(axis=1)
         return np.flatnonzero(~valid | warning.any(axis=1) | diverged)
 
-    def _indices(self, rows: Rows) -> Indices:
-        """Return the indices (k,) of the selected simulations."""
-        return np.arange(len(self._pose))[rows]
+
+def _batch(model: mujoco.MjModel, count: int, nthread: int) -> Batch:
+    """Return simulations of vehicles of individual masses."""
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    batch = Batch(model, count, nthread, persistent=bool(model.opt.enableflags & _SLEEP))
+    batch.expand("body_mass")
+    batch.expand("body_inertia")
+    batch.set_const()
+    return batch

@@ -56,16 +56,25 @@ def add_floor(spec: mujoco.MjSpec) -> None:
     spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], group=COLLISION_GROUP)
 
 
-def add_collision_geoms(spec: mujoco.MjSpec, surroundings: mujoco.MjSpec) -> None:
-    """Add the collision geoms (group 3) of a world, also those of its moving bodies, without visible geometry."""
+def add_static_geoms(spec: mujoco.MjSpec, surroundings: mujoco.MjSpec) -> None:
+    """Add the collision geoms (group 3) of a world, without visible geometry and without its moving objects."""
     for body in surroundings.bodies:
-        solid = [geom for geom in body.geoms if geom.group == COLLISION_GROUP]
-        if not solid:
-            continue
-        to = spec.worldbody
+        if not body.mocap:
+            _add_collision_geoms(spec.worldbody, body)
+
+
+def add_movers(spec: mujoco.MjSpec, surroundings: mujoco.MjSpec) -> None:
+    """Add the moving objects of a world, which are mocap bodies, with their collision geoms (group 3)."""
+    for body in surroundings.bodies:
         if body.mocap:
-            to = spec.worldbody.add_body(name=body.name, mocap=True, pos=body.pos, quat=body.quat)
-        for geom in solid:
+            copy = spec.worldbody.add_body(name=body.name, mocap=True, pos=body.pos, quat=body.quat)
+            _add_collision_geoms(copy, body)
+
+
+def _add_collision_geoms(to: mujoco.MjsBody, body: mujoco.MjsBody) -> None:
+    """Add the collision geoms of a body to another."""
+    for geom in body.geoms:
+        if geom.group == COLLISION_GROUP:
             copy = to.add_geom(**{name: getattr(geom, name) for name in _COPIED})
             for name in _COPIED_TURN:
                 setattr(copy.alt, name, getattr(geom.alt, name))

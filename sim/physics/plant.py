@@ -15,9 +15,10 @@ from dronevio.models.rotation import cross
 from dronevio.models.state import NavState
 from dronevio.sim.physics.collisions import Collision, Moving
 from dronevio.sim.physics.motion import Motion
+from dronevio.sim.physics.mover_contacts import MoverContacts
 from dronevio.sim.physics.rotors import ALL_POWERED, Airflow, MotorFailure, Rotors
 from dronevio.sim.physics.simulation import MotionRecord, Simulation
-from dronevio.sim.physics.vehicle import LONGEST_STEP_S, imu_interval_ns, physics_model, standing_pose
+from dronevio.sim.physics.vehicle import LONGEST_STEP_S, imu_interval_ns, meeting_spec, physics_model, standing_pose
 from dronevio.sim.physics.wind import CALM, Air, Wind
 
 _VEHICLE = np.eye(4)
@@ -49,7 +50,7 @@ class QuadrotorPlant:
             rig: Mounting and rate of the IMU.
             quadrotor: The vehicle; the research quadrotor of 1.5 kg by default.
             surroundings: Specification of a world, whose geoms of group 3 are solid; only a floor by default.
-            movers: All moving objects of the world.
+            movers: All moving objects of the world; a drone that meets one has collided, but is not pushed.
             pad_m: (3,) Initial position on the floor [m]; the origin by default.
             wind: Mean wind and gusts.
             failure: Failure of a rotor; none by default.
@@ -67,7 +68,11 @@ class QuadrotorPlant:
         self._rotors = Rotors(self.quadrotor)
         self._air = Air(wind, rng)
         self._failure = failure or MotorFailure(0, np.inf)
-        self._simulation = Simulation(physics_model(self.quadrotor, rig, self._step_s, surroundings), substeps, movers)
+        self._simulation = Simulation(physics_model(self.quadrotor, rig, self._step_s, surroundings), substeps)
+        self._movers: MoverContacts | None = None
+        if surroundings is not None and movers:
+            meeting = meeting_spec(self.quadrotor, rig, surroundings).compile()
+            self._movers = MoverContacts(meeting, movers, self.interval_s)
         self._pad = np.zeros(3) if pad_m is None else np.asarray(pad_m, dtype=np.float64)
         self._standing = standing_pose(self.quadrotor, rig, self._step_s)
         self._standing[:3] += self._pad
@@ -200,11 +205,18 @@ class QuadrotorPlant:
         Returns:
             The motion (13,) in the middle of the interval.
         """
-        middle = self._simulation.run(self._rotors.wrench(self._state, self._airflow(motion)), t_ns // self.interval_ns)
-        touching = self._simulation.touching()
-        if touching is not None and self._collision is None:
-            self._collision = Collision(t_ns + self.interval_ns, *touching, float(np.linalg.norm(motion[7:10])))
+        middle = self._simulation.run(self._rotors.wrench(self._state, self._airflow(motion)))
+        end_ns = t_ns + self.interval_ns
+        if self._collision is None and (touching := self._touching(end_ns)) is not None:
+            self._collision = Collision(end_ns, *touching, float(np.linalg.norm(motion[7:10])))
         return middle
+
+    def _touching(self, t_ns: int) -> tuple[str, str] | None:
+        """Return the names of the drone's part and of the object of a collision at a time [ns], or None without one."""
+        touching = self._simulation.touching()
+        if touching is None and self._movers is not None:
+            return self._movers.detect(t_ns // self.interval_ns, self._simulation.motion()[:7])
+        return touching
 
     def _airflow(self, motion: Array) -> Airflow:
         """Return the airflow at the drone, and advance the gusts by the distance of an interval."""

@@ -1,24 +1,23 @@
 """Simulation of one vehicle in a world by MuJoCo, and the record of its motion."""
 
-from collections.abc import Sequence
-
 import mujoco
 import numpy as np
 
 from dronevio.models.arrays import Array
 from dronevio.models.rotation import quat_wxyz_from_matrix
-from dronevio.sim.physics.collisions import CollisionDetector, Moving
+from dronevio.sim.physics.clearance_grid import WITHOUT_CONTACTS, ClearanceGrid
+from dronevio.sim.physics.collisions import CollisionDetector
 from dronevio.sim.physics.motion import Motion, extrapolated_back, middle_of_interval
-from dronevio.sim.physics.mover_table import MoverTable
 
 
 class Simulation:
     """Simulation of a vehicle, which advances by IMU intervals."""
 
-    def __init__(self, model: mujoco.MjModel, substeps: int, movers: Sequence[Moving] = ()) -> None:
-        """Take the model, the number of time steps of an IMU interval, and all moving objects of the model."""
-        self._movers = MoverTable(model, movers, substeps * model.opt.timestep) if movers else None
+    def __init__(self, model: mujoco.MjModel, substeps: int) -> None:
+        """Take the model and the number of time steps of an IMU interval."""
         self._model, self._substeps = model, substeps
+        self._grid = ClearanceGrid(model, substeps * model.opt.timestep)
+        self._flags = int(model.opt.disableflags)
         self._data = mujoco.MjData(model)
         self._collision_detector = CollisionDetector(model)
 
@@ -38,16 +37,15 @@ class Simulation:
         """Return the motion (13,) of the physics: pose and twist."""
         return np.concatenate([self._data.qpos, self._data.qvel])
 
-    def run(self, wrench: Array, number: int) -> Array:
-        """Run the physics for an interval, after a number of others, with a constant wrench (6,).
+    def run(self, wrench: Array) -> Array:
+        """Run the physics for an interval with a constant wrench (6,).
 
         Returns:
             The motion (13,) in the middle of the interval.
         """
         model, data = self._model, self._data
-        if self._movers is not None:
-            positions, quats = self._movers.at(np.array([number]))
-            data.mocap_pos[:], data.mocap_quat[:] = positions[0], quats[0]
+        clear = self._grid.clears(data.qpos[:3], data.qvel[:3])
+        model.opt.disableflags = self._flags | (WITHOUT_CONTACTS if clear else 0)
         data.ctrl[:] = wrench
         half = self._substeps // 2
         mujoco.mj_step(model, data, half)

@@ -9,7 +9,7 @@ from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.quadrotor import ROTOR_NAMES, Quadrotor
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import quat_wxyz_from_matrix
-from dronevio.sim.physics.collisions import COLLISION_GROUP, add_collision_geoms, add_floor
+from dronevio.sim.physics.collisions import COLLISION_GROUP, add_floor, add_movers, add_static_geoms
 
 LONGEST_STEP_S = 1e-3
 """Longest time step of the physics [s]; the step divides the IMU interval."""
@@ -45,7 +45,7 @@ def quadrotor_spec(quadrotor: Quadrotor, rig: Rig) -> mujoco.MjSpec:
 def physics_model(
     quadrotor: Quadrotor, rig: Rig, step_s: float, surroundings: mujoco.MjSpec | None = None
 ) -> mujoco.MjModel:
-    """Return the vehicle with the collision geoms of a world, without visible geometry; with a floor by default.
+    """Return the vehicle with the static collision geoms of a world, without what is visible; with a floor by default.
 
     The six controls are the wrench at the centre of mass in the vehicle frame (see `Rotors`).
     """
@@ -56,19 +56,32 @@ def physics_spec(
     quadrotor: Quadrotor, rig: Rig, step_s: float, surroundings: mujoco.MjSpec | None = None
 ) -> mujoco.MjSpec:
     """Return the specification of `physics_model`."""
-    spec = quadrotor_spec(quadrotor, rig)
-    for geom in [geom for geom in spec.geoms if geom.group != COLLISION_GROUP]:
-        spec.delete(geom)
+    spec = _solid_quadrotor(quadrotor, rig)
     if surroundings is None:
         add_floor(spec)
     else:
-        add_collision_geoms(spec, surroundings)
+        add_static_geoms(spec, surroundings)
         spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP  # spares the kinematics of all static geoms
         spec.body("quadrotor").sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
     spec.option.timestep = step_s
     spec.option.gravity = [0.0, 0.0, -GRAVITY_M_S2]
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # permits exact IMU samples; see `Motion`
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # no creep of the feet
+    return spec
+
+
+def meeting_spec(quadrotor: Quadrotor, rig: Rig, surroundings: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Return the specification of the vehicle and the moving objects of a world alone, for contacts between them."""
+    spec = _solid_quadrotor(quadrotor, rig)
+    add_movers(spec, surroundings)
+    return spec
+
+
+def _solid_quadrotor(quadrotor: Quadrotor, rig: Rig) -> mujoco.MjSpec:
+    """Return the specification of the vehicle without visible geometry."""
+    spec = quadrotor_spec(quadrotor, rig)
+    for geom in [geom for geom in spec.geoms if geom.group != COLLISION_GROUP]:
+        spec.delete(geom)
     return spec
 
 

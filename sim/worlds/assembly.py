@@ -16,6 +16,8 @@ from dronevio.sim.worlds.layout import Layout, MovingObject
 
 _COLLISION_GROUP = 3  # hidden in MuJoCo's viewers by default
 _NEAR_M, _FAR_M = 0.03, 30.0
+_PROTRUSION_M = 1e-3  # by which a solid may protrude from keep-out boxes without being an obstacle of its own
+_PLACES = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)  # in a box that are compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +92,20 @@ def _add_mover(spec: mujoco.MjSpec, thing: MovingObject) -> mujoco.MjsBody:
 
 
 def space_of(layout: Layout) -> Space:
-    """Return the space of a layout for planning: bounds, keep-out boxes around obstacles, lanes of moving objects."""
-    return _space_with(layout, (*layout.obstacles, *layout.lanes))
+    """Return the space of a layout for planning: bounds, keep-out boxes, lanes of moving objects, and all solids.
+
+    Solids within the keep-out boxes, and those beyond the bounds, are left out, since they change no clearance outside.
+    """
+    kept_out, solids = _space_with(layout, (*layout.obstacles, *layout.lanes)), solid_space_of(layout)
+    places = solids.centres[:, None] + (_PLACES * solids.halves[:, None]) @ solids.rotations.transpose(0, 2, 1)
+    protruding = kept_out.clearance(places).max(axis=1) > _PROTRUSION_M
+    return Space(
+        kept_out.low,
+        kept_out.high,
+        np.concatenate([kept_out.centres, solids.centres[protruding]]),
+        np.concatenate([kept_out.halves, solids.halves[protruding]]),
+        np.concatenate([kept_out.rotations, solids.rotations[protruding]]),
+    )
 
 
 def solid_space_of(layout: Layout) -> Space:

@@ -57,8 +57,8 @@ class Layout:
     boxes: tuple[Box, ...]
     """All other visible boxes; faces against the bounds of the flight space are omitted."""
     obstacles: tuple[Box, ...]
-    """Keep-out boxes for path planning; their paint is not used. Recorded routes depend on them. Solids protrude from
-    them and from the bounds by at most 18 cm, but for the pendant lamps of the room, which are free of them."""
+    """Keep-out boxes of path planning around whole objects, between whose parts no path leads; their paint is not used.
+    What protrudes from them is kept clear of, too."""
     lights: tuple[AreaLight, ...]
     """Area lights of the world."""
     pad: Array

@@ -106,6 +106,13 @@ def test_submaps_begin_along_the_path_and_together_are_the_map() -> None:
     assert grid.at(np.array([1.0, 0.0, 1.0])) == FREE  # far behind the local map's middle, too
 
 
+def test_the_packed_size_counts_what_is_in_files() -> None:
+    kept, written = (mapper_of_walls(DenseMapConfig(submap_m=1.0, memory_mb=limit)) for limit in (32.0, 0.0))
+    for mapper in (kept, written):
+        add(mapper, *(estimate(i, 0.05 * i) for i in range(60)))
+    assert written.packed_bytes == kept.packed_bytes > 100
+
+
 def test_a_loss_begins_a_new_map_and_joining_brings_the_old_one_back() -> None:
     mapper, T = mapper_of_walls(), pose_matrix(rotation_z(1.0), np.array([0.5, 2.0, 0.0]))
     first = corrected({0: np.eye(4)})

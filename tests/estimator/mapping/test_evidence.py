@@ -5,11 +5,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dronevio.estimator.mapping.evidence import FREE_LOG_ODDS, HOLE_PX, OCCUPIED_LOG_ODDS, Evidence, evidence
+from dronevio.estimator.mapping.evidence import (
+    FREE_LOG_ODDS,
+    FREE_SIGMAS,
+    HOLE_PX,
+    OCCUPIED_LOG_ODDS,
+    Evidence,
+    evidence,
+)
 from dronevio.estimator.mapping.nearest_depth import NearestDepths
 from dronevio.models.arrays import Array, Floats, Mask
 from dronevio.models.rotation import exp_so3
-from tests.estimator.mapping.scenes import CAMERA, EUROC_HALF, image, pose, wall, with_box, with_pole
+from tests.estimator.mapping.scenes import CAMERA, EUROC_HALF, FORWARDS, image, pose, wall, with_box, with_pole
 
 CELL_M = 0.1
 
@@ -57,7 +64,7 @@ def test_nothing_is_free_that_any_ray_does_not_pass(R: Array, position: Array, s
     deepest = corners[..., 2].max(axis=1)
     for a, b, c, d, z in zip(first_u, last_u, first_v, last_v, deepest, strict=True):
         footprint = depth[c : d + 1, a : b + 1]
-        assert footprint.size == 0 or z <= footprint.min() - 2.0 * sigma_m + 1e-4
+        assert footprint.size == 0 or z <= footprint.min() - FREE_SIGMAS * sigma_m + 1e-4
 
 
 def found_free(found: Evidence) -> Mask:
@@ -88,6 +95,24 @@ def test_the_points_of_pixels_are_in_occupied_cells(R: Array, position: Array, d
     assert (
         len(corners) > 0.6 * (CAMERA.width / CAMERA.K[0, 0]) * (CAMERA.height / CAMERA.K[1, 1]) * (depth_m / 0.1) ** 2
     )
+
+
+@pytest.mark.parametrize("yaw_rad", [0.0, 0.4, 0.785, 2.0])
+def test_little_more_than_the_footprint_must_be_in_front(yaw_rad: float) -> None:
+    """Cells beside an unknown half of the image are free from a seventh of a footprint on."""
+    depth = wall(6.0, EUROC_HALF)
+    depth[:, :188] = 0.0
+    T = pose((0.02, 0.03, 0.04), exp_so3(np.array([0.0, 0.0, yaw_rad])) @ FORWARDS)
+    found = evidence(image(depth, T, 0.0, EUROC_HALF), CELL_M, 4.0)
+    corners, K = in_camera(found, np.ones_like(found.log_odds, bool), T), EUROC_HALF.K
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u, v = (K[axis, axis] * corners[..., axis] / corners[..., 2] + K[axis, 2] for axis in (0, 1))
+    width = u.max(axis=1) - u.min(axis=1)
+    inside = (u.max(axis=1) < 375.0 - 0.4 * width) & (np.abs(v - K[1, 2]).max(axis=1) < 119.0 - width)
+    near = (corners[..., 2].min(axis=1) > 0.8) & (corners[..., 2].max(axis=1) < 3.8)
+    beside = near & inside & (u.min(axis=1) > 191.0 + 0.15 * width)
+    assert beside.sum() > 1000
+    assert found_free(found).ravel()[beside].all()
 
 
 def test_an_error_of_the_depth_widens_what_is_unknown() -> None:
@@ -147,7 +172,7 @@ def test_only_a_small_hole_is_closed(side_px: int, expected: float) -> None:
 def test_a_hole_has_the_nearest_depth_beside_it() -> None:
     depth = wall(3.95, EUROC_HALF)
     depth[:, 194:] = 2.0
-    holed = with_hole(depth, slice(181, 194), slice(113, 126))
+    holed = with_hole(depth, slice(182, 193), slice(114, 125))
     found = evidence(image(holed, pose((0.0, 0.0, 0.0)), 0.0, EUROC_HALF), 0.05, 4.0)
     assert value_at(found, (1.525, 0.0, 0.0), 0.05) == pytest.approx(FREE_LOG_ODDS)
     assert value_at(found, (3.025, 0.0, 0.0), 0.05) == 0.0
