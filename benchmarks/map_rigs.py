@@ -94,8 +94,8 @@ def each(rig: Rig, *, size: tuple[int, int] | None = None, **changes: object) ->
 def flight_of(rig: Rig, faults: Faults, seed: int) -> Scenario:
     """Return a flight of ten seconds in a room."""
     scenario, w = scenario_named("room-easy", seed), scenario_named("room", seed).plan
-    times = {"initial_rest_s": 0.5, "takeoff_s": 1.5, "tour_s": 6.5, "landing_s": 1.5, "final_rest_s": 0.2}
-    plan = replace(w, waypoints=w.waypoints[:5], **times)
+    plan = replace(w, initial_rest_s=0.5, takeoff_s=1.5, tour_s=6.5, landing_s=1.5, final_rest_s=0.2)
+    plan = replace(plan, waypoints=w.waypoints[:5])
     return replace(scenario, rig=rig, plan=plan, faults=faults)
 
 
@@ -113,7 +113,7 @@ def row_of(name: str, folder: Path, faults: Faults) -> Row:
             poses.append(depth.T_odom_cam)
             density.append(float(depth.known.mean()))
     camera, grid = rig.cameras[pair.left if pair else 0], run.mapper.fused()
-    row: Row = {"rig": name, "depths": str(len(poses))}
+    row = {"rig": name, "depths": str(len(poses))}
     if grid is None or not poses:
         return row
     R, t = in_world(run, truth, grid)
@@ -123,6 +123,9 @@ def row_of(name: str, folder: Path, faults: Faults) -> Row:
     late_s = rig.time_offset_s + camera.time_offset_s + faults.hidden_time_offset_s
     exposed_ns = np.array(run.t_ns, dtype=np.int64) + round(1e9 * late_s)
     away_m, turn_rad = pose_errors(truth, exposed_ns, np.array(poses), camera.T_imu_cam)
+    turns_rad = np.percentile(turn_rad, [50, 95])
+    # Cameras that are exposed one after another are rectified to axes that turn with the motion
+    is_turning = pair is not None and rig.cameras[pair.left].time_offset_s != rig.cameras[pair.right].time_offset_s
     return row | {
         "known": text(float(np.mean(density)), ".2f"),
         "samples": str(len(surface)),
@@ -131,7 +134,7 @@ def row_of(name: str, folder: Path, faults: Faults) -> Row:
         "completeness": " ".join(text(100.0 * score.completeness, ".0f") for score in scores),
         "free known": f"{100.0 * state_shares(grid, seen.free @ R.T + t).free:.0f} %",
         "position [cm]": " ".join(text(100.0 * float(v), ".1f") for v in np.percentile(away_m, [50, 95])),
-        "turn [°]": " ".join(text(float(np.degrees(v)), ".2f") for v in np.percentile(turn_rad, [50, 95])),
+        "turn [°]": "–" if is_turning else " ".join(text(float(np.degrees(v)), ".2f") for v in turns_rad),
     }
 
 

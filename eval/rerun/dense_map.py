@@ -184,7 +184,7 @@ def dense_map_viewer(url: str, recording: Recording) -> Iterator[DenseMapLog]:
 
 
 def _blueprint(*, is_live: bool = False) -> rrb.Blueprint:
-    """Return the layout: the map on the left, beside the image, its depths and the final mesh; live, the newest time."""
+    """Return the layout: the map beside the image, depths and final mesh; a live one follows the newest time."""
     beginning, cursor = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.cursor_relative()
     so_far = rrb.VisibleTimeRanges(timeline=TIMELINE, start=beginning, end=cursor)
     growing = rrb.Spatial3DView(
