@@ -111,8 +111,8 @@ def mesh_picture(mesh: Mesh, path: Array, size_px: tuple[int, int] = _PICTURE_PX
     Only surfaces that face the viewpoint are drawn, so that a room is seen into from outside.
     """
     low, high = np.percentile(mesh.vertices, _INNER_PERCENT, axis=0)
-    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3)
-    position, target = fit_view(np.concatenate([corners, path]), elevation_deg=50.0)
+    inner = mesh.vertices[np.all((mesh.vertices >= low) & (mesh.vertices <= high), axis=1)]
+    position, target = fit_view(np.concatenate([inner, path]), elevation_deg=50.0)
     camera = ViewCamera.looking_at(position, target, np.array([0.0, 0.0, 1.0]), VIEWER_FIELD_OF_VIEW_RAD, *size_px)
     spacing = _MESH_PX * float(np.linalg.norm(position - target)) / camera.focal_px
     drawn = np.all(camera.faces(mesh.vertices, mesh.normals)[mesh.triangles], axis=1)
