@@ -27,8 +27,6 @@ MAX_SIGMA_PX = 0.6
 """Largest standard deviation of a disparity that is used [px]."""
 MAX_STEP_PX = 0.8
 """Largest step from the disparity of the matcher [px]."""
-MAX_SHIFT_PX = 1.0
-"""Largest shift between the images by motion between two exposures [px]."""
 MATCH_BLOCK_PX = 5
 _SMALL_PENALTY, _LARGE_PENALTY = 8, 64  # of the matcher, for each pixel of a block
 _UNIQUENESS, _CONSISTENCY_PX = 25, 1
@@ -65,32 +63,27 @@ class StereoDepth:
         )
 
     def depth(self, frame: CameraFrame, estimate: Estimate) -> DepthImage | None:
-        """Return the depth image of the left camera of a frame.
+        """Return the depth image of the left camera of a frame; None without a state or one of the images.
 
-        It is None without a state, without one of the images, and where the cameras moved by more than `MAX_SHIFT_PX`
-        between their exposures.
+        The cameras are exposed at the same time; see `dronevio.estimator.mapping.depth_source` where they are not.
         """
         pair = self._pair
         if estimate.state is None or any(frame.images[k].size == 0 for k in (pair.left, pair.right)):
             return None
-        shift_px = self._shift_px(frame, estimate)
-        if shift_px > MAX_SHIFT_PX:
-            return None
         left, right = (map_.apply(frame.images[k]) for k, map_ in zip((pair.left, pair.right), pair.maps, strict=True))
-        disparity, sigma = self.disparity(left, right, shift_px)
+        disparity, sigma = self.disparity(left, right)
         known = disparity > 0.0
         depth = np.divide(np.float32(pair.fb), disparity, out=np.zeros_like(disparity), where=known)
         sigma_m = np.where(known, depth * depth * sigma / np.float32(pair.fb), np.float32(0.0))
         T_odom_imu = pose_after(estimate.state, delay_s(self._rig, frame, pair.left))
         return DepthImage(frame.t_ns, pair.camera, T_odom_imu @ pair.T_imu_left, depth, sigma_m, left)
 
-    def disparity(self, left: Image, right: Image, shift_px: float = 0.0) -> tuple[Floats, Floats]:
+    def disparity(self, left: Image, right: Image) -> tuple[Floats, Floats]:
         """Return the disparities (H, W) and their standard deviations (H, W) of rectified images [px]; 0 for unknown.
 
         Args:
             left: (H, W) Left image.
             right: (H, W) Right image.
-            shift_px: Unknown shift between the images [px].
         """
         right = self._equalised(left, right)
         coarse = self._matched(left, right)
@@ -111,7 +104,7 @@ class StereoDepth:
         known &= ~borrowed(np.where(known, disparity, zero), gradient * gradient)
         known &= ~speckles(np.where(known, disparity, zero))
         disparity = np.where(known, disparity, zero)
-        variance = sigma * sigma + variance_around(disparity, coarse, slope) + np.float32(FLOOR_PX**2 + shift_px**2)
+        variance = sigma * sigma + variance_around(disparity, coarse, slope) + np.float32(FLOOR_PX**2)
         return disparity, np.where(known, np.sqrt(variance), zero)
 
     def _matched(self, left: Image, right: Image) -> Floats:
@@ -134,15 +127,6 @@ class StereoDepth:
         columns = self._columns - disparity
         image = right.astype(np.float32)
         return np.asarray(cv2.remap(image, columns, self._rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
-
-    def _shift_px(self, frame: CameraFrame, estimate: Estimate) -> float:
-        """Return how far the right image moves between the two exposures, at the smallest depth of free flight [px]."""
-        assert estimate.state is not None
-        between_s = delay_s(self._rig, frame, self._pair.right) - delay_s(self._rig, frame, self._pair.left)
-        rate = estimate.state.angular_velocity_rad_s
-        turn = 0.0 if rate is None else float(np.linalg.norm(rate))
-        moved = float(np.linalg.norm(estimate.state.velocity_m_s))
-        return abs(between_s) * (turn + moved) * float(self._pair.camera.K[0, 0])
 
 
 def _derivative(image: Floats) -> Floats:

@@ -285,20 +285,6 @@ def test_cameras_that_are_exposed_one_after_another_see_the_wall(delay_ns: int) 
     check_wall(found)
 
 
-def test_motion_between_the_two_exposures() -> None:
-    """The standard deviation grows with the motion between the exposures, and there is no depth if it is large."""
-    rig, pair = stereo()
-    images = tuple(picture(c.model, c.T_imu_cam) for c in rig.cameras)
-    source, frame = StereoDepth(rig, pair), CameraFrame(0, images, image_delays_ns=(0, 2_000_000))
-    sigmas = []
-    for rate in (0.0, 1.0):
-        found = source.depth(frame, estimate(rate=np.array([0.0, rate, 0.0])))
-        assert found is not None
-        sigmas.append(np.median(found.sigma_m[found.known]))
-    assert sigmas[1] > 2.0 * sigmas[0]
-    assert source.depth(frame, estimate(rate=np.array([0.0, 5.0, 0.0]))) is None
-
-
 def cut(disparity: Floats) -> Mask:
     """Return where disparities are left out at edges."""
     return rejection.edges(disparity, disparity, rejection.slopes(disparity))
