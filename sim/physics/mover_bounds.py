@@ -10,10 +10,10 @@ from dronevio.models.arrays import Array, Mask
 from dronevio.sim.physics.clearance_grid import reach_m
 from dronevio.sim.physics.collisions import Moving
 
-WINDOW = 64
+WINDOW = 16
 """Intervals of a window."""
-_SAMPLE = 8  # intervals from one sample to the next
-_BLOCK = 64  # windows that are computed together
+_SAMPLE = 4  # intervals from one sample to the next
+_BLOCK = 256  # windows that are computed together
 _BLOCKS = 16  # blocks that are kept
 _SIGNS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 
@@ -21,7 +21,7 @@ _SIGNS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in 
 class MoverBounds:
     """Axis-aligned boxes around M moving objects during windows of IMU intervals.
 
-    An object is sampled eight times a window; the box extends beyond the samples by the longest way of a corner from
+    An object is sampled four times a window; the box extends beyond the samples by the longest way of a corner from
     one sample to the next.
     """
 
