@@ -40,9 +40,10 @@ class Interval:
 class BatchSimulation:
     """n simulations of a vehicle, which advance by IMU intervals; k of them may be selected by rows.
 
-    There are two batches. Most vehicles can touch nothing during an interval: they are simulated in an empty world,
-    with one `mujoco.MjData` for each thread. The others are simulated among the solids, with one each, since only then
-    can the kinematics of thousands of static geoms be left out of the steps.
+    There are three batches. Most vehicles can touch nothing during an interval: they are simulated in an empty world,
+    with one `mujoco.MjData` for each thread; so are those that can touch planes only, such as the floor on which they
+    stand, in a world of planes. The others are simulated among the solids, with one each, since only then can the
+    kinematics of thousands of static geoms be left out of the steps.
     """
 
     def __init__(self, spec: mujoco.MjSpec, count: int, substeps: int, recorded: bool, nthread: int) -> None:
@@ -55,17 +56,24 @@ class BatchSimulation:
             recorded: Whether the motion in the middle of an interval is wanted.
             nthread: Number of threads; 0 means one for each processor.
         """
-        spec, empty = spec.copy(), spec.copy()
-        for geom in empty.worldbody.geoms:
-            empty.delete(geom)
-        empty.option.enableflags &= ~_SLEEP
-        self._sensors = ContactSensors(spec)
-        model = spec.compile()
-        self._grid = ClearanceGrid(model, substeps * model.opt.timestep)
+        empty, planes, full = spec.copy(), spec.copy(), spec.copy()
+        for world in (empty, planes):
+            for geom in world.worldbody.geoms:
+                if world is empty or geom.type != mujoco.mjtGeom.mjGEOM_PLANE:
+                    world.delete(geom)
+            world.option.enableflags &= ~_SLEEP
+        sensors = [ContactSensors(world) for world in (planes, full)]
+        model, interval_s = full.compile(), substeps * spec.option.timestep
+        self._grid = ClearanceGrid(model, interval_s)
+        self._solids = ClearanceGrid(model, interval_s, with_planes=False)
         self._free = _batch(empty.compile(), count, nthread)
+        self._low = _batch(planes.compile(), count, nthread)
         self._near = _batch(model, count, nthread)
-        self._pose, self._twist = self._free.bind("qpos"), self._free.bind("qvel")
-        self._control, self._sensed = self._free.bind("ctrl"), self._near.bind("sensordata")
+        self._contacts = {
+            batch: (each, batch.bind("sensordata"))
+            for batch, each in zip((self._low, self._near), sensors, strict=True)
+        }
+        self._pose, self._twist, self._control = (self._free.bind(name) for name in ("qpos", "qvel", "ctrl"))
         self._substeps, self._recorded = substeps, recorded
 
     def save(self) -> Array:
@@ -80,7 +88,7 @@ class BatchSimulation:
 
     def change_bodies(self, rows: Indices, parameters: VehicleParameters) -> None:
         """Give k bodies the masses and moments of inertia of k vehicles."""
-        for batch in (self._free, self._near):
+        for batch in (self._free, self._low, self._near):
             body = batch.model.body("quadrotor").id
             batch.expand("body_mass")[rows, body] = parameters.mass_kg
             batch.expand("body_inertia")[rows, body] = parameters.inertia_kg_m2
@@ -110,17 +118,20 @@ class BatchSimulation:
         """
         self._control[rows] = wrench
         indices = np.arange(len(self._pose))[rows]
-        near = ~self._grid.clear(start[:3], start[7:10])
+        free, touched = self._grid.clear(start[:3], start[7:10]), touched.copy()
+        near = ~free
+        near[near] = ~self._solids.clear(start[:3, near], start[7:10, near])
         middle = np.empty((13, len(near))) if self._recorded else None
-        for batch, some in ((self._free, ~near), (self._near, near)):
-            if some.any():
-                moved = self._stepped(batch, indices[some])
-                if middle is not None:
-                    middle[:, some] = moved
-        if near.any():
-            touched = touched.copy()
-            finite = np.isfinite(self._pose[indices[near]]).all(axis=1)
-            touched[near] |= finite & self._sensors.collide(self._sensed[indices[near]])
+        for batch, some in ((self._free, free), (self._low, ~free & ~near), (self._near, near)):
+            if not some.any():
+                continue
+            moved = self._stepped(batch, indices[some])
+            if middle is not None:
+                middle[:, some] = moved
+            if batch is not self._free:
+                sensors, sensed = self._contacts[batch]
+                finite = np.isfinite(self._pose[indices[some]]).all(axis=1)
+                touched[some] |= finite & sensors.collide(sensed[indices[some]])
         stopped = self._diverging(rows, diverged)
         if stopped.size:
             diverged, start = diverged.copy(), start.copy()

@@ -28,13 +28,19 @@ class ClearanceGrid:
     than its padding.
     """
 
-    def __init__(self, model: mujoco.MjModel, interval_s: float) -> None:
-        """Take a model of a vehicle among static geoms, and the length of an interval [s]."""
+    def __init__(self, model: mujoco.MjModel, interval_s: float, *, with_planes: bool = True) -> None:
+        """Take a model.
+
+        Args:
+            model: Model of a vehicle among static geoms.
+            interval_s: Length of an interval [s].
+            with_planes: Whether planes are counted.
+        """
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         static = model.geom_bodyid != model.body("quadrotor").id
-        planes = static & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
-        boxes = static & ~planes
+        is_plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+        boxes, planes = static & ~is_plane, static & is_plane & with_planes
         rotations = data.geom_xmat.reshape(-1, 3, 3)
         self._points, self._normals = data.geom_xpos[planes], rotations[planes, :, 2]
         local, halves = model.geom_aabb[boxes, :3], model.geom_aabb[boxes, 3:]

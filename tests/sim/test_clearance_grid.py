@@ -81,6 +81,8 @@ def test_only_planes_and_far_away_places_are_clear_without_a_cell() -> None:
     for model in (standing, physics_model(RESEARCH, RIG, 1e-3, wall(np.eye(3)))):
         heights = np.array([[-50.0] * 3, [-50.0] * 3, [0.3, 0.5, 50.0]])
         assert ClearanceGrid(model, INTERVAL_S).clear(heights, np.zeros((3, 3))).tolist() == [False, True, True]
+        solids = ClearanceGrid(model, INTERVAL_S, with_planes=False)
+        assert solids.clear(heights, np.zeros((3, 3))).all()
     assert not ClearanceGrid(standing, INTERVAL_S).clear(np.full((3, 1), np.nan), np.zeros((3, 1))).any()
 
 
