@@ -219,8 +219,11 @@ def drifting(estimate: Estimate, t_ns: Times, path_m: Array) -> Estimate:
     T_map_odom = None if estimate.T_map_odom is None else np.asarray(estimate.T_map_odom @ inverse_pose(D))
     if found is not None:
         found = replace(found, Ts_map_odom=np.asarray(found.Ts_map_odom @ np.linalg.inv(drift(found.t_ns))))
-    state = replace(estimate.state, T_world_imu=np.asarray(D @ estimate.state.T_world_imu))
-    return replace(estimate, state=state, T_map_odom=T_map_odom, map_correction=found)
+    state, exposed = (
+        None if each is None else replace(each, T_world_imu=np.asarray(D @ each.T_world_imu))
+        for each in (estimate.state, estimate.exposed)
+    )
+    return replace(estimate, state=state, exposed=exposed, T_map_odom=T_map_odom, map_correction=found)
 
 
 def loop_rows(folder: Path, config: DenseMapConfig, drift: bool = True) -> list[Row]:
