@@ -79,8 +79,8 @@ def borrowed(disparity: Floats, information: Floats) -> Mask:
     """Return where (H, W) disparities belong to the texture beside the pixel, and nothing supports them at the pixel.
 
     The information of a window is that of its gradients, g². Where its centre is not at the pixel, the disparity is
-    borrowed, and counts only between similar ones that are not, on both sides along the rows or the columns: a wall
-    between two of its marks, but not the sky beside a gate.
+    borrowed from there, and counts only if there is a similar one, which is not borrowed, on the other side: a wall is
+    known between two of its marks, but not the sky beside a gate.
 
     Args:
         disparity: (H, W) Disparities that are known, 0 elsewhere [px].
@@ -98,7 +98,7 @@ def borrowed(disparity: Floats, information: Floats) -> Mask:
     own = np.where(is_own, disparity, np.float32(0.0))
     own_or_far = np.where(own > 0.0, own, np.float32(_FAR))
     unsupported = np.zeros(disparity.shape, bool)
-    # A disparity that is borrowed from one side needs support from the other one
+    # Support from the side opposite to that from which a disparity is borrowed
     for borrows, (columns, rows), (column, row) in (
         (x >= reach, (BETWEEN_PX + 1, 3), (BETWEEN_PX, 1)),
         (x <= -reach, (BETWEEN_PX + 1, 3), (0, 1)),
