@@ -3,7 +3,7 @@
 Doors stand open, without leaves; two corridors end at a window. What stands and hangs in a room depends on its use.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -35,6 +35,7 @@ _WALL_PX_PER_M, _FLOOR_PX_PER_M, _CEILING_PX_PER_M, _THING_PX_PER_M = 128.0, 96.
 _JAMB_M, _CASING_M, _HEAD_M = 0.06, 0.02, 2.1  # door frames: thickness, protrusion from the wall, clear height
 _PLAY_M = 2e-3  # by which doors are wider than stated, so that their middle keeps half their width of clearance
 _ASIDE_M = 0.16  # from the clear width of a door to what stands beside it
+_SHADY_M = 0.08  # half thickness of the thinnest thing that casts a shadow
 _TILE_M = 0.5  # squares of carpet
 _CORNER_M = 1.0  # of a wall where the things along the next one stand
 
@@ -147,8 +148,13 @@ def layout(rng: Random, door_m: float = 1.2, white: bool = False) -> Layout:
         pad=plan.pad.copy(),
         free_box=np.stack([plan.pad - [0.5, 2.6, 0.0], plan.pad + [0.5, 2.6, 2.2]]),
         route=plan.route(door_m),
-        shading=(*(box for box in walls if box.half.max() > 0.4), *shading(boxes)),
+        shading=(*(box for box in walls if box.half.max() > 0.4), *_casting(boxes)),
     )
+
+
+def _casting(boxes: Sequence[Box]) -> list[Box]:
+    """Return the furniture that casts shadows: without small things, whose shadows take more time than they show."""
+    return [box for box in shading(boxes) if box.half.min() > _SHADY_M]
 
 
 def _paints(rng: Random, rooms: int, white: bool) -> _Paints:
@@ -218,11 +224,19 @@ def _walls(plan: Plan, paints: _Paints, door_m: float) -> tuple[Box, ...]:
             edges = [ends[0], *(x + s * 0.5 * hole_m for x in doors for s in (-1, 1)), ends[1]]
             panels = [panel(0.5 * (a + b), 0.0, b - a, tall) for a, b in zip(edges[::2], edges[1::2], strict=True)]
             top = _HEAD_M + _JAMB_M
-            panels += [panel(x, top, hole_m, tall - top) for x in doors]
+            back, front = (
+                partial(_upper_part, paint=paint, share=1.0 - top / tall) for paint in (back, paints.walls[number])
+            )
+            panels += [block(x, y, top, hole_m, WALL_M, tall - top, back, front) for x in doors]
             frames = [_frame(paints.frames, door_m + _PLAY_M).moved(np.eye(3), np.array([x, y, 0.0])) for x in doors]
             pieces = [Piece(parts_of(instance, coarse(panels, _WALL_PX_PER_M)), 0.0, 0.0, 0.0), *frames]
             boxes += [box for piece in pieces for box in wall.put(piece, 0.0).boxes]
     return tuple(boxes)
+
+
+def _upper_part(rng: Random, height: int, width: int, paint: Paint, share: float) -> Image:
+    """Return the upper part of a wall, a share of its height."""
+    return paint(rng, round(height / share), width)[:height]
 
 
 def _frame(paint: Paint, clear_m: float) -> Piece:
