@@ -3,7 +3,7 @@
 Doors stand open, without leaves; two corridors end at a window. What stands and hangs in a room depends on its use.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -35,7 +35,6 @@ _WALL_PX_PER_M, _FLOOR_PX_PER_M, _CEILING_PX_PER_M, _THING_PX_PER_M = 128.0, 96.
 _JAMB_M, _CASING_M, _HEAD_M = 0.06, 0.02, 2.1  # door frames: thickness, protrusion from the wall, clear height
 _PLAY_M = 2e-3  # by which doors are wider than stated, so that their middle keeps half their width of clearance
 _ASIDE_M = 0.16  # from the clear width of a door to what stands beside it
-_SHADY_M = 0.08  # half thickness of the thinnest thing that casts a shadow
 _TILE_M = 0.5  # squares of carpet
 _CORNER_M = 1.0  # of a wall where the things along the next one stand
 
@@ -148,13 +147,8 @@ def layout(rng: Random, door_m: float = 1.2, white: bool = False) -> Layout:
         pad=plan.pad.copy(),
         free_box=np.stack([plan.pad - [0.5, 2.6, 0.0], plan.pad + [0.5, 2.6, 2.2]]),
         route=plan.route(door_m),
-        shading=(*(box for box in walls if box.half.max() > 0.4), *_casting(boxes)),
+        shading=(*(box for box in walls if box.half.max() > 0.4), *shading(boxes)),
     )
-
-
-def _casting(boxes: Sequence[Box]) -> list[Box]:
-    """Return the furniture that casts shadows: without small things, whose shadows take more time than they show."""
-    return [box for box in shading(boxes) if box.half.min() > _SHADY_M]
 
 
 def _paints(rng: Random, rooms: int, white: bool) -> _Paints:
