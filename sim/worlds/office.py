@@ -194,10 +194,12 @@ def _shell(plan: Plan, paints: _Paints) -> tuple[Face, ...]:
         floor = level_face(area.low, high, 0.0, True, paints.floors[number], _FLOOR_PX_PER_M)
         ceiling = level_face(area.low, high, float(HIGH_M[2]), False, white, _CEILING_PX_PER_M)
         faces += [*parts_of(Instance("floor"), [floor]), *parts_of(Instance("ceiling"), [ceiling])]
-        for wall in (area.wall(side) for side in area.facades):
-            half = 0.5 * wall.length_m
-            panel = wall.face((half, 0.0), (-half, 0.0), float(HIGH_M[2]), paints.walls[number], _WALL_PX_PER_M)
-            faces += parts_of(Instance("wall"), [panel])
+    facades = [(area.wall(side), number) for area, number in grounds for side in area.facades]
+    facades += [(hallway.wall, corridor) for hallway in plan.hallways if hallway.facade]
+    for wall, number in facades:
+        half = 0.5 * wall.length_m
+        panel = wall.face((half, 0.0), (-half, 0.0), float(HIGH_M[2]), paints.walls[number], _WALL_PX_PER_M)
+        faces += parts_of(Instance("wall"), [panel])
     return tuple(faces)
 
 

@@ -130,10 +130,7 @@ class Plan:
         """The four stretches of the ring of corridors, with the walls beside them: south, north, east and west."""
         x, (cx, cy), far = float(HIGH_M[0]), CORE_M - WALL_M, OUTER_M + WALL_M
         corners = (((-x, -far), (x, -cy)), ((-x, cy), (x, far)), ((cx, -cy), (x, cy)), ((-x, -cy), (-cx, cy)))
-        sides = ((EAST, WEST), (EAST, WEST), (EAST,), (WEST,))
-        return [
-            Room(np.array(low), np.array(high), facades=side) for (low, high), side in zip(corners, sides, strict=True)
-        ]
+        return [Room(np.array(low), np.array(high)) for low, high in corners]
 
     def stubs_along(self, wall: Wall) -> list[float]:
         """Return where the stubs that leave the corridor through a wall are along it [m]."""

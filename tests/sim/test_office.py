@@ -8,7 +8,7 @@ from dronevio.models.arrays import Array
 from dronevio.sim.streams import generator
 from dronevio.sim.world import flight_area, solid_space
 from dronevio.sim.worlds.layout import ROUTE_CLEARANCE_M
-from dronevio.sim.worlds.office import OFFICE_NARROW
+from dronevio.sim.worlds.office import OFFICE, OFFICE_WHITE
 from dronevio.sim.worlds.office_plan import EAST, SOUTH, Plan, drawn_plan
 
 STEP_M = 0.1
@@ -99,7 +99,9 @@ def test_the_route_enters_rooms_if_doors_let_it_pass() -> None:
     assert narrow.space.clearance(along).min() >= ROUTE_CLEARANCE_M
 
 
-def test_variants_have_the_same_plan() -> None:
-    layout = OFFICE_NARROW.layout(generator(0, "layout"))
-    np.testing.assert_array_equal(layout.pad, plan_of(0).pad)
-    assert len(drawn_plan(generator(0, "layout")).rooms) == len(plan_of(0).rooms)
+def test_white_walls_stand_where_the_others_do() -> None:
+    painted, white = (world.layout(generator(0, "layout")) for world in (OFFICE, OFFICE_WHITE))
+    walls = [[box for box in layout.boxes if box.instance.kind == "wall"] for layout in (painted, white)]
+    np.testing.assert_array_equal(*([box.centre for box in boxes] for boxes in walls))
+    image = walls[1][0].paint(np.random.default_rng(0), 200, 200)
+    assert image.std() < 2.0 < walls[0][0].paint(np.random.default_rng(0), 200, 200).std()
