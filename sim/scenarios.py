@@ -179,6 +179,17 @@ _DECEPTIVE_LOOPS = tuple(
 )
 """Flights that come back in worlds in which the recognition of places errs."""
 
+_OFFICE = tuple(
+    Scenario(
+        f"office-{level}-v0",
+        f"a lap of an office, through some of its rooms, {level}",
+        FlightPlan(shape="tour", laps=1, limits=LIMITS[level]),
+        world="office",
+    )
+    for level in ("easy", "medium")
+)
+"""Tours of the office, whose doors leave little more than the clearance that tours keep."""
+
 _SHAPES = tuple(
     Scenario(f"room-{shape}-v0", description, FlightPlan(tour_s=20.0, shape=shape, limits=LIMITS["medium"]))
     for shape, description in {
@@ -242,6 +253,7 @@ SCENARIOS: dict[str, Scenario] = {
         *_NORMAL,
         *_LOOPS,
         *_DECEPTIVE_LOOPS,
+        *_OFFICE,
         *_STRESS,
     )
 }
@@ -258,12 +270,13 @@ SUITES: dict[str, tuple[str, ...]] = {
     "loops": tuple(s.name for s in _LOOPS),
     "loops-deceptive": tuple(s.name for s in _DECEPTIVE_LOOPS),
     "no-revisits": tuple(s.name for s in _TOURS if s.world in _SINGLE_LAPS),
+    "office": tuple(s.name for s in _OFFICE),
     "normal": tuple(s.name for s in _NORMAL),
     "stress": ("room-v0", *(s.name for s in _STRESS)),
 }
 """Names of the scenarios of each suite: those of one world, of one level, or of one kind. The suite ``reference`` has
 the nine flights on which the accuracy of the odometry is stated; ``normal`` has all flights without a fault, except for
-those of several laps; ``stress`` begins with the flight without a fault."""
+those of several laps and of the office; ``stress`` begins with the flight without a fault."""
 
 
 def scenario_named(name: str, seed: int | None = None) -> Scenario:

@@ -91,6 +91,6 @@ def test_registration_does_not_load_the_simulator() -> None:
 
 def test_scenarios_are_normal_or_have_faults_or_laps() -> None:
     clean, *faults = SUITES["stress"]
-    parts = (SUITES["normal"], faults, SUITES["loops"], SUITES["loops-deceptive"])
+    parts = (SUITES["normal"], faults, SUITES["loops"], SUITES["loops-deceptive"], SUITES["office"])
     assert clean in SUITES["normal"]
     assert sorted(name for part in parts for name in part) == sorted(SCENARIOS)
