@@ -77,7 +77,8 @@ def route(
     """
     _check(grid, distance, start, goal)
     is_clear = _clear(grid, distance, clearance_m)
-    first = next((cell for cell in _nearest(grid, is_clear, start, near_m) if _is_seen(grid, start, cell)), None)
+    is_free, near = grid.states == FREE, _nearest(grid, is_clear, start, near_m)
+    first = next((cell for cell in near if _passes(is_free, grid, start, grid.centres(cell))), None)
     if first is None:
         return NoRoute("start", f"no cell with {clearance_m:.2f} m of clearance within {near_m:.2f} m of {_at(start)}")
     ends = [start] if is_clear[tuple(grid.cells(start))] else [start, grid.centres(first)]
@@ -92,8 +93,8 @@ def route(
         return NoRoute("search", f"none found from {_at(start)} to {_at(goal)} in {max_expansions} expansions")
     is_goal = bool(np.all(last == grid.cells(goal)))
     end = goal if is_goal else grid.centres(last)
-    corners = _shortcut(is_clear, grid, np.concatenate([ends[-1:], grid.centres(path.cells[1:-1]), end[None]]))
-    waypoints = np.concatenate([ends[:-1], corners]) if len(ends) > 1 else corners
+    points = np.concatenate([ends, grid.centres(path.cells), end[None]])  # points and centres of the same cells
+    waypoints = _shortcut(is_clear, grid, points[np.append(True, np.diff(points, axis=0).any(axis=1))])
     return Route(waypoints, 0.0 if is_goal else float(np.linalg.norm(end - goal)), path.expansions)
 
 
@@ -130,11 +131,6 @@ def _nearest(grid: OccupancyGrid, mask: Mask, point: Array, radius_m: float) -> 
     cells = np.argwhere(mask[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]) + low
     apart = np.linalg.norm(grid.centres(cells) - point, axis=-1)
     yield from cells[[k for k in np.argsort(apart, kind="stable") if apart[k] <= radius_m]]
-
-
-def _is_seen(grid: OccupancyGrid, point: Array, cell: Integers) -> bool:
-    """Return whether the line from a point to the centre of a cell is in free cells."""
-    return _passes(grid.states == FREE, grid, point, grid.centres(cell))
 
 
 def _passes(mask: Mask, grid: OccupancyGrid, start: Array, end: Array) -> bool:
