@@ -101,7 +101,7 @@ class Roads:
         tree = cKDTree(self.nodes)
         apart, node = tree.query(np.concatenate([start[None], goals]))
         paths = dijkstra(self.graph, directed=False, indices=int(node[0]))[node[1:]] / EXCESS - apart[0] - apart[1:]
-        return np.maximum(np.where(np.isfinite(paths), paths, 0.0), np.linalg.norm(goals - start, axis=1))
+        return np.asarray(np.maximum(np.where(np.isfinite(paths), paths, 0.0), np.linalg.norm(goals - start, axis=1)))
 
 
 def queries(space: Space, number: int, solvable_m: float) -> list[tuple[Array, Array]]:
