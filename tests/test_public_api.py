@@ -21,6 +21,7 @@ PACKAGES = sorted(
         "sim",
         "estimator",
         "eval",
+        "autonomy",
         "benchmark",
         "book",
         "cli",

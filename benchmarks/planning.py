@@ -1,0 +1,171 @@
+"""Global routes on perfect maps: share solved, clearance, length beside the shortest, and processor time.
+
+The map of a world has cells of 10 cm: occupied are those that a solid may touch, all others are free. Starts and goals
+are drawn uniformly and are *solvable* if the true space, sampled every 10 cm at other places than the centres of the
+cells, connects them in steps along the axes with ``--solvable-m`` of clearance. The optimum is bounded from below by
+the straight line, and by the shortest path between samples of the true space every 20 cm with the clearance that the
+plan keeps at least, with steps to 98 neighbours, divided by their largest excess over straight lines.
+
+    python benchmarks/planning.py --worlds room,forest --queries 1000
+"""
+
+import argparse
+import time
+from dataclasses import dataclass
+from itertools import pairwise, product
+
+import numpy as np
+from measuring import Row, print_rows
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
+
+from dronevio.autonomy.route import NoRoute, Route, route
+from dronevio.estimator.mapping.distance import distance_field
+from dronevio.models.arrays import Array, Mask
+from dronevio.models.occupancy import FREE, OCCUPIED, OccupancyGrid
+from dronevio.sim.paths.space import Space
+from dronevio.sim.world import WORLDS, solid_space
+
+CELL_M = 0.1
+CLEARANCE_M = 0.35
+TRUE_M = CLEARANCE_M - 3.0**0.5 * CELL_M
+"""Clearance that a route keeps in truth [m]: centres of cells are at most half a diagonal from a point of the route and
+from the surface."""
+COARSE_M = 0.2
+GOALS = 20
+"""Goals of each start, which share one search for the optimum."""
+STEPS = np.array([s for s in product(range(-2, 3), repeat=3) if np.gcd.reduce(s) == 1])
+EXCESS = 1.05
+"""Largest length of a path of the 98 steps over that of the straight line: 1.0494 by the convex hull of their
+directions."""
+
+
+def sampled(space: Space, spacing_m: float, shift: float, least_m: float) -> tuple[Array, Mask]:
+    """Return the first sample (3,) of a space and whether samples (X, Y, Z) have a clearance.
+
+    The first is `shift` spacings from the corner. Clearance is Lipschitz continuous with constant 1, which decides most
+    blocks of 4 x 4 x 4 samples by their middles.
+    """
+    low, counts = space.low + spacing_m * shift, np.ceil((space.high - space.low) / spacing_m - 1e-9).astype(int)
+    blocks = np.argwhere(np.ones(-(-counts // 4), np.bool_))
+    middle = space.clearance(low + spacing_m * (4 * blocks + 1.5))
+    radius_m = 1.5 * 3.0**0.5 * spacing_m
+    within = np.argwhere(np.ones((4, 4, 4), np.bool_))
+    is_clear = np.zeros(tuple(4 * -(-counts // 4)), np.bool_)
+    whole = (4 * blocks[middle >= least_m + radius_m][:, None] + within).reshape(-1, 3)
+    is_clear[tuple(whole.T)] = True
+    rest = (4 * blocks[np.abs(middle - least_m) < radius_m][:, None] + within).reshape(-1, 3)
+    is_clear[tuple(rest.T)] = space.clearance(low + spacing_m * rest) >= least_m
+    return low, is_clear[: counts[0], : counts[1], : counts[2]]
+
+
+def perfect_map(space: Space) -> OccupancyGrid:
+    """Return the map of a space: occupied are the cells that a solid may touch."""
+    _, is_free = sampled(space, CELL_M, 0.5, 0.5 * 3.0**0.5 * CELL_M)
+    states = np.where(is_free, FREE, OCCUPIED).astype(np.uint8)
+    return OccupancyGrid(space.low, CELL_M, states, "map")
+
+
+@dataclass(frozen=True, eq=False)
+class Roads:
+    """Shortest paths between samples of the true space."""
+
+    nodes: Array
+    graph: coo_array
+
+    @classmethod
+    def of(cls, space: Space) -> "Roads":
+        """Return the paths with the clearance that routes keep."""
+        low, usable = sampled(space, COARSE_M, 0.5, TRUE_M)
+        index = np.full(usable.shape, -1)
+        index[usable] = np.arange(np.count_nonzero(usable))
+        cells, shape = np.argwhere(usable), np.array(usable.shape)
+        tails, heads, lengths = [], [], []
+        for step in STEPS[len(STEPS) // 2 :]:
+            to = cells + step
+            tail = np.flatnonzero(np.all((to >= 0) & (to < shape), axis=1))
+            head = index[tuple(to[tail].T)]
+            tails.append(tail[head >= 0])
+            heads.append(head[head >= 0])
+            lengths.append(np.full(np.count_nonzero(head >= 0), COARSE_M * np.linalg.norm(step)))
+        number = len(cells)
+        graph = coo_array(
+            (np.concatenate(lengths), (np.concatenate(tails), np.concatenate(heads))), shape=(number, number)
+        )
+        return cls(low + COARSE_M * cells, graph.tocsr())
+
+    def bounds(self, start: Array, goals: Array) -> Array:
+        """Return lower bounds (K,) of the lengths of routes from a start to goals (K, 3) [m]."""
+        tree = cKDTree(self.nodes)
+        apart, node = tree.query(np.concatenate([start[None], goals]))
+        paths = dijkstra(self.graph, directed=False, indices=int(node[0]))[node[1:]] / EXCESS - apart[0] - apart[1:]
+        return np.asarray(np.maximum(np.where(np.isfinite(paths), paths, 0.0), np.linalg.norm(goals - start, axis=1)))
+
+
+def queries(space: Space, number: int, solvable_m: float) -> list[tuple[Array, Array]]:
+    """Return starts (3,) with their goals (K, 3), which the true space connects with a clearance."""
+    low, is_clear = sampled(space, CELL_M, 0.25, solvable_m)
+    parts, _ = ndimage.label(is_clear)
+    rng, cells = np.random.default_rng(0), np.argwhere(parts)
+    part = parts[tuple(cells.T)]
+    found = []
+    for _ in range(0, number, GOALS):
+        chosen = int(rng.integers(len(cells)))
+        goals = rng.choice(np.flatnonzero(part == part[chosen]), min(GOALS, number))
+        found.append((low + CELL_M * cells[chosen], low + CELL_M * cells[goals]))
+    return found
+
+
+def least_clearance(space: Space, found: Route) -> float:
+    """Return the smallest true clearance of a route, every 2 cm [m]."""
+    legs = [np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / 0.02)) for a, b in pairwise(found.waypoints)]
+    return float(space.clearance(np.concatenate(legs)).min())
+
+
+def measured(name: str, number: int, solvable_m: float) -> Row:
+    """Return the row of a world."""
+    space = solid_space(name, 0)
+    grid = perfect_map(space)
+    distance = distance_field(grid, unknown_is_obstacle=True)
+    roads = Roads.of(space)
+    ratios, times, clearances, expansions, causes = [], [], [], [], []
+    for start, goals in queries(space, number, solvable_m):
+        for goal, least_m in zip(goals, roads.bounds(start, goals), strict=True):
+            begin = time.process_time()
+            found = route(grid, distance, start, goal, clearance_m=CLEARANCE_M)
+            times.append(1e3 * (time.process_time() - begin))
+            if isinstance(found, NoRoute) or found.short_of_goal_m > 1.0:
+                causes.append(found.reason if isinstance(found, NoRoute) else "far from the goal")
+                continue
+            expansions.append(found.expansions)
+            clearances.append(least_clearance(space, found))
+            if least_m > 1.0:
+                ratios.append((found.length_m + found.short_of_goal_m) / least_m)
+    for cause in causes[:3]:
+        print(f"{name}: {cause}")
+    return {
+        "world": name,
+        "cells": f"{grid.states.size / 1e6:.2f} M",
+        "solved": f"{100.0 * len(clearances) / len(times):.1f} % of {len(times)}",
+        "least clearance": f"{min(clearances):.3f} m",
+        "length / bound": f"{np.median(ratios):.3f}, {np.percentile(ratios, 99):.3f}",
+        "expansions": f"{np.median(expansions):.0f}, {max(expansions)}",
+        "CPU-ms": f"{np.median(times):.1f}, {np.percentile(times, 99):.0f}",
+    }
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--worlds", default=",".join(WORLDS), help="names, separated by commas")
+    parser.add_argument("--queries", type=int, default=1000)
+    parser.add_argument("--solvable-m", type=float, default=CLEARANCE_M, help="true clearance of solvable queries [m]")
+    args = parser.parse_args()
+    rows = [measured(name, args.queries, args.solvable_m) for name in args.worlds.split(",")]
+    print_rows("Routes on perfect maps (median, 99th percentile)", rows)
+
+
+if __name__ == "__main__":
+    main()
