@@ -18,13 +18,13 @@ from dronevio.autonomy.corridor import Corridor, corridor_along
 from dronevio.autonomy.trajectory import CorridorTrajectory, corridor_trajectory
 from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
-from dronevio.models.occupancy import FREE, OccupancyGrid
+from dronevio.models.occupancy import FREE, UNKNOWN, OccupancyGrid
 from dronevio.sim.paths.limits import Limits
 from dronevio.sim.paths.route import collision_free_polyline
 from dronevio.sim.paths.space import Space
 from dronevio.sim.world import solid_space
 
-WORLDS = ("room", "forest", "warehouse", "corridor")
+WORLDS = ("room", "forest")
 CELL_M, RADIUS_M, MARGIN_M, REACH_M = 0.1, 0.35, 0.5, 2.0
 NEAREST_M, FARTHEST_M, HEIGHT_M = 3.0, 8.0, 2.5
 LIMITS = Limits(speed_m_s=2.5, accel_m_s2=3.0)
@@ -52,7 +52,8 @@ def grid_around(space: Space, polyline: Array) -> OccupancyGrid:
     shape = np.ceil((polyline.max(axis=0) + REACH_M - low) / CELL_M).astype(int)
     grid = OccupancyGrid(low, CELL_M, np.zeros(shape, np.uint8))
     centres = grid.centres(np.argwhere(np.ones(shape, dtype=bool)))
-    return OccupancyGrid(low, CELL_M, np.where(space.clearance(centres) >= RADIUS_M, FREE, 0).astype(np.uint8).reshape(shape))
+    states = np.where(space.clearance(centres) >= RADIUS_M, FREE, UNKNOWN).astype(np.uint8)
+    return OccupancyGrid(low, CELL_M, states.reshape(shape))
 
 
 def rest_of(corridor: Corridor, trajectory: CorridorTrajectory, time_s: float) -> Corridor:

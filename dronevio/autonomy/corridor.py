@@ -1,8 +1,8 @@
 """Corridors: overlapping boxes of free cells along a polyline.
 
-Each box begins as the longest stretch of the polyline whose bounding box is free, and is then grown by one layer of cells
-at a time on each side, until it meets a cell that is not free. Sums over boxes of cells are taken from a summed-volume
-table.
+Each box begins as the longest stretch of the polyline whose bounding box is free, and is then grown by one layer of
+cells at a time on each side, until it meets a cell that is not free. Sums over boxes of cells are taken from a
+summed-volume table.
 
 Source: Gao, Wu, Gao and Shen, "Flying on point clouds: Online trajectory generation and autonomous navigation for
 quadrotors in cluttered environments", 2019, for the corridors of boxes.
@@ -41,15 +41,15 @@ def passable(grid: OccupancyGrid, distance: DistanceField, clearance_m: float) -
 def corridor_along(grid: OccupancyGrid, is_passable: Mask, waypoints: Array, reach_m: float) -> Corridor | None:
     """Return the corridor along a polyline, or None if the polyline leaves the passable cells.
 
-    Every point of a box lies in a passable cell. Two consecutive cells of the polyline must have a passable bounding box,
-    which holds for any polyline with 1.5 cells more clearance than the cells.
+    Every point of a box lies in a passable cell. Two consecutive cells of the polyline must have a passable bounding
+    box, which holds for a polyline whose cells have two cells more clearance than passable ones need.
 
     Args:
         grid: Grid that defines the cells.
         is_passable: (X, Y, Z) Where the centre of the vehicle may be.
         waypoints: (N, 3) Polyline from the start to the goal in the frame of the grid [m].
-        reach_m: Largest distance by which a box exceeds its stretch of the polyline, and length of that stretch along an
-            axis [m]. It bounds the time of a call.
+        reach_m: Largest distance by which a box exceeds its stretch of the polyline, and length of that stretch along
+            an axis [m]. It bounds the time of a call.
     """
     cells = _cells_along(grid, waypoints)
     if not (np.all((cells >= 0) & (cells < is_passable.shape)) and np.all(is_passable[tuple(cells.T)])):

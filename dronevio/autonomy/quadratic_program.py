@@ -9,10 +9,13 @@ import numpy as np
 from dronevio.models.arrays import Array
 
 _ITERATIONS = 40  # about 10 suffice where there is a solution
+_CONTRADICTION = 1e10  # multiplier, relative to the scale of the matrix, that only grows without a feasible point
 _TO_BOUNDARY = 0.99  # fraction of the step to the boundary
 
 
-def bounded_minimum(hessian: Array, gradient: Array, rows: Array, low: Array, high: Array, tolerance: float) -> Array | None:
+def bounded_minimum(
+    hessian: Array, gradient: Array, rows: Array, low: Array, high: Array, tolerance: float
+) -> Array | None:
     """Return the minimizers (N, D) of D programs ½ xᵀ H x + gᵀ x subject to low ≤ A x ≤ high, or None.
 
     Args:
@@ -52,6 +55,8 @@ def _interior_point(hessian: Array, gradient: Array, rows: Array, low: Array, to
         gap = np.mean(slack * dual, axis=1, keepdims=True)
         if max(np.abs(short).max(), gap.max()) < tolerance and np.abs(unstationary).max() < tolerance:
             return np.asarray(x)
+        if dual.max() > _CONTRADICTION:
+            return None
         system = hessian + np.einsum("mi,dm,mj->dij", rows, dual / slack, rows, optimize=True)
         centring = -slack * dual
         for corrector in (False, True):
@@ -71,5 +76,5 @@ def _interior_point(hessian: Array, gradient: Array, rows: Array, low: Array, to
 
 def _to_boundary(values: Array, steps: Array) -> Array:
     """Return the largest lengths (D, 1) up to 1 of steps (D, M) for which positive values (D, M) stay positive."""
-    shares = np.where(steps < 0.0, -values / np.minimum(steps, -1e-300), np.inf)
+    shares = np.where(steps < 0.0, -values / np.minimum(steps, -1e-30), np.inf)
     return np.asarray(np.minimum(shares.min(axis=1, keepdims=True), 1.0))

@@ -1,7 +1,7 @@
 """Minimum-snap trajectories inside a corridor, from any state to rest.
 
-A trajectory is a sequence of Bézier curves of degree 7, one in each box, continuous up to the jerk. A Bézier curve lies in
-the convex hull of its control points, so that it stays in its box if these do. For given durations, the squared snap
+A trajectory is a sequence of Bézier curves of degree 7, each in one box, continuous up to the jerk. A Bézier curve lies
+in the convex hull of its control points, so that it stays in its box if these do. For given durations, the squared snap
 is a quadratic function of the states at the joints, and the boxes bound linear functions of them: a quadratic program
 for each axis. Durations are then changed until the motion reaches a limit and exceeds none.
 
@@ -29,6 +29,7 @@ _ROUNDS = 10  # programs that are solved for a trajectory
 _ALLOCATING = 5  # of them, in which the pieces change separately
 _STRETCH = 1.02  # further duration if a limit is exceeded
 _GAIN = 0.6  # exponent of the ratio to the limits by which the duration of a piece changes
+_SCALES = (1.0, 0.7, 1.4)  # of the initial durations, tried in turn until there is a trajectory
 _LEAST_S = 0.05  # duration of a piece
 _INSIDE_M = 1e-4  # distance of control points from the faces of the box, within which the programs are solved
 _RELAXATIONS = 20  # of the initial points on the portals toward the shortest path
@@ -62,7 +63,9 @@ class CorridorTrajectory:
         return np.stack([path(time_s), *(path.derivative(order)(time_s) for order in range(1, _ORDERS))])
 
 
-def corridor_trajectory(corridor: Corridor, start: Array, goal: Array | None, limits: Limits) -> CorridorTrajectory | None:
+def corridor_trajectory(
+    corridor: Corridor, start: Array, goal: Array | None, limits: Limits
+) -> CorridorTrajectory | None:
     """Return a fast minimum-snap trajectory inside a corridor, or None if none was found.
 
     Args:
@@ -74,6 +77,17 @@ def corridor_trajectory(corridor: Corridor, start: Array, goal: Array | None, li
     boxes = _boxes_of_pieces(len(corridor.low_m))
     low, high = corridor.low_m[boxes], corridor.high_m[boxes]
     legs = _initial_durations(low, high, start, goal, limits)
+    for scale in _SCALES:
+        found = _fastest(scale * legs, low, high, start, goal, limits)
+        if found is not None:
+            return CorridorTrajectory(found[0], np.append(0.0, np.cumsum(found[1])), boxes)
+    return None
+
+
+def _fastest(
+    legs: Array, low: Array, high: Array, start: Array, goal: Array | None, limits: Limits
+) -> tuple[Array, Array] | None:
+    """Return the control points (S, 8, 3) and durations (S,) of the fastest curve found from initial durations (S,)."""
     best: tuple[Array, Array] | None = None
     for number in range(_ROUNDS):
         legs = _shortened_start(legs, start, low[0], high[0])
@@ -91,9 +105,7 @@ def corridor_trajectory(corridor: Corridor, start: Array, goal: Array | None, li
             break
         else:
             legs = legs * (ratios.max() * (_STRETCH if ratios.max() > 1.0 else 1.0) + 1e-9)
-    if best is None:
-        return None
-    return CorridorTrajectory(best[0], np.append(0.0, np.cumsum(best[1])), boxes)
+    return best
 
 
 def _boxes_of_pieces(count: int) -> Array:
@@ -112,6 +124,7 @@ def _initial_durations(low: Array, high: Array, start: Array, goal: Array | None
     for _ in range(_RELAXATIONS):
         path = np.vstack([start[:1], inner, end])
         inner = np.clip(0.5 * (path[:-2] + path[2:]), below, above)
+    # The end may be any place; the durations of such a stop are those of braking straight ahead.
     lengths = np.linalg.norm(np.diff(np.vstack([start[:1], inner, end]), axis=0), axis=1)
     speed = 0.7 * limits.speed_m_s
     legs = lengths / speed
