@@ -1,8 +1,8 @@
-"""Corridors and trajectories in the worlds: how many queries are solved, and the processor time of a plan.
+"""Corridors and trajectories between random boxes: how many queries are solved, and the processor time of a plan.
 
-The polylines join random places of a world at most 8 m apart with .5 m clearance; cells of .1 m are passable with .35 m
-to what collides. Each trajectory from rest is then planned again from its state at three times, in the rest of its
-corridor: to its end, and to a stop at any place. ``stretch`` is the duration of the new plan by what was left of the old.
+The polylines have three legs with .55 m clearance in a box of 10 × 10 × 3 m; cells of .1 m are passable with .35 m.
+Each trajectory from rest is then planned again from its state at three times, in the rest of its corridor: to its end,
+and to a stop at any place of two boxes. ``stretch`` is the duration of the new plan by what was left of the old one.
 
     python benchmarks/corridors.py --queries 100
 """
@@ -14,46 +14,37 @@ from collections.abc import Iterator
 import numpy as np
 from measuring import Row, print_as_made
 
-from dronevio.autonomy.corridor import Corridor, corridor_along
+from dronevio.autonomy.corridor import Corridor, corridor_along, passable
 from dronevio.autonomy.trajectory import CorridorTrajectory, corridor_trajectory
-from dronevio.models.arrays import Array
-from dronevio.models.errors import ConfigError
-from dronevio.models.occupancy import FREE, UNKNOWN, OccupancyGrid
+from dronevio.estimator.mapping.distance import distance_field
+from dronevio.models.arrays import Array, Mask
+from dronevio.models.occupancy import FREE, OCCUPIED, OccupancyGrid
 from dronevio.sim.paths.limits import Limits
-from dronevio.sim.paths.route import collision_free_polyline
-from dronevio.sim.paths.space import Space
-from dronevio.sim.world import solid_space
 
-WORLDS = ("room", "forest")
-CELL_M, RADIUS_M, MARGIN_M, REACH_M = 0.1, 0.35, 0.5, 2.0
-NEAREST_M, FARTHEST_M, HEIGHT_M = 3.0, 8.0, 2.5
+OBSTACLES = (10, 30, 60)
+CELL_M, RADIUS_M, MARGIN_M, REACH_M = 0.1, 0.35, 0.55, 2.0
+TRIES = 200  # places that are tried for the next corner of a polyline
 LIMITS = Limits(speed_m_s=2.5, accel_m_s2=3.0)
 TIMES = (0.25, 0.5, 0.75)
 
 
-def polylines(space: Space, rng: np.random.Generator, count: int) -> Iterator[Array]:
-    """Yield polylines (N, 3) between random places of a space."""
-    high = np.minimum(space.high, np.append(space.high[:2], space.low[2] + HEIGHT_M))
+def queries(rng: np.random.Generator, obstacles: int, count: int) -> Iterator[tuple[OccupancyGrid, Mask, Array]]:
+    """Yield grids of random boxes, which of their cells are passable, and polylines (4, 3) through them [m]."""
     while count:
-        ends = rng.uniform(space.low, high, (2, 3))
-        length = np.linalg.norm(ends[1] - ends[0])
-        if not NEAREST_M < length < FARTHEST_M or space.clearance(ends).min() < MARGIN_M:
-            continue
-        try:
-            yield collision_free_polyline(space, ends, MARGIN_M, ["start", "goal"])
-        except ConfigError:
-            continue
-        count -= 1
-
-
-def grid_around(space: Space, polyline: Array) -> OccupancyGrid:
-    """Return the grid of passable cells, which are FREE, around a polyline."""
-    low = polyline.min(axis=0) - REACH_M
-    shape = np.ceil((polyline.max(axis=0) + REACH_M - low) / CELL_M).astype(int)
-    grid = OccupancyGrid(low, CELL_M, np.zeros(shape, np.uint8))
-    centres = grid.centres(np.argwhere(np.ones(shape, dtype=bool)))
-    states = np.where(space.clearance(centres) >= RADIUS_M, FREE, UNKNOWN).astype(np.uint8)
-    return OccupancyGrid(low, CELL_M, states.reshape(shape))
+        states = np.full((100, 100, 30), FREE, np.uint8)
+        for low in rng.integers(0, (95, 95, 20), (obstacles, 3)):
+            states[tuple(slice(k, k + n) for k, n in zip(low, rng.integers(3, 15, 3), strict=True))] = OCCUPIED
+        grid = OccupancyGrid(np.zeros(3), CELL_M, states)
+        distance = distance_field(grid, unknown_is_obstacle=True)
+        roomy = passable(grid, distance, MARGIN_M)
+        cells, points = np.argwhere(roomy), np.zeros((0, 3))
+        for end in grid.centres(cells[rng.integers(len(cells), size=TRIES)]):
+            leg = np.linspace(points[-1] if len(points) else end, end, 500)
+            if np.all(roomy[tuple(grid.cells(leg).T)]):
+                points = np.vstack([points, end])
+        if len(points) >= 4:
+            count -= 1
+            yield grid, passable(grid, distance, RADIUS_M), points[:4]
 
 
 def rest_of(corridor: Corridor, trajectory: CorridorTrajectory, time_s: float) -> Corridor:
@@ -63,15 +54,13 @@ def rest_of(corridor: Corridor, trajectory: CorridorTrajectory, time_s: float) -
     return Corridor(corridor.low_m[first:], corridor.high_m[first:])
 
 
-def row(world: str, queries: int) -> Row:
-    """Return the row of a world."""
-    space, rng = solid_space(world, 0), np.random.default_rng(0)
-    boxes_ms, plan_ms, again_ms, stop_ms, stretch, clearance, speeds = [], [], [], [], [], [], []
-    solved, again, stopped, tries = 0, 0, 0, 0
-    for polyline in polylines(space, rng, queries):
-        grid = grid_around(space, polyline)
+def row(obstacles: int, count: int) -> Row:
+    """Return the row of a number of obstacles."""
+    boxes_ms, plan_ms, again_ms, stop_ms, stretch, sizes, speeds = [], [], [], [], [], [], []
+    solved, inside, again, stopped, tries = 0, 0, 0, 0, 0
+    for grid, is_passable, polyline in queries(np.random.default_rng(0), obstacles, count):
         began = time.process_time()
-        corridor = corridor_along(grid, grid.states == FREE, polyline, REACH_M)
+        corridor = corridor_along(grid, is_passable, polyline, REACH_M)
         boxes_ms.append(1e3 * (time.process_time() - began))
         if corridor is None:
             continue
@@ -83,7 +72,8 @@ def row(world: str, queries: int) -> Row:
             continue
         solved += 1
         path = trajectory.path(np.linspace(0.0, trajectory.duration_s, 200))
-        clearance.append(space.clearance(path).min())
+        inside += bool(np.all(is_passable[tuple(grid.cells(path).T)]))
+        sizes.append(len(corridor.low_m))
         speeds.append(np.linalg.norm(np.diff(path, axis=0), axis=1).sum() / trajectory.duration_s)
         for share in TIMES:
             now = share * trajectory.duration_s
@@ -101,9 +91,10 @@ def row(world: str, queries: int) -> Row:
                 stretch.append(new.duration_s / (trajectory.duration_s - now))
     spread = [f"{np.median(ms):.1f}, {np.percentile(ms, 99):.1f}" for ms in (boxes_ms, plan_ms, again_ms, stop_ms)]
     return {
-        "world": world,
-        "solved": f"{solved} of {queries}",
-        "least clearance [m]": f"{min(clearance):.2f}",
+        "obstacles": str(obstacles),
+        "solved": f"{solved} of {count}",
+        "inside": f"{inside} of {solved}",
+        "boxes": f"{np.median(sizes):.0f}, {max(sizes)}",
         "speed [m/s]": f"{np.median(speeds):.2f}",
         "again": f"{again} of {tries}",
         "stretch": f"{np.median(stretch):.2f}",
@@ -116,11 +107,11 @@ def row(world: str, queries: int) -> Row:
 
 
 def main() -> None:
-    """Print a row for each world: times are the median and the 99th percentile of a call."""
+    """Print a row for each number of obstacles: times are the median and the 99th percentile of a call."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--queries", type=int, default=100, help="queries in each world")
-    queries = parser.parse_args().queries
-    print_as_made(row(world, queries) for world in WORLDS)
+    parser.add_argument("--queries", type=int, default=100, help="queries for each number")
+    count = parser.parse_args().queries
+    print_as_made(row(obstacles, count) for obstacles in OBSTACLES)
 
 
 if __name__ == "__main__":

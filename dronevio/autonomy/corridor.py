@@ -78,7 +78,8 @@ def _cells_along(grid: OccupancyGrid, waypoints: Array) -> Integers:
     lengths = np.linalg.norm(np.diff(waypoints, axis=0), axis=1)
     counts = np.ceil(lengths / grid.cell_m * _SAMPLES_PER_CELL).astype(int) + 1
     legs = zip(waypoints[:-1], waypoints[1:], counts, strict=True)
-    cells = grid.cells(np.vstack([waypoints[:1], *(np.linspace(*ends, count) for *ends, count in legs)]))
+    points = [waypoints[:1], *(np.linspace(start, end, count) for start, end, count in legs)]
+    cells = grid.cells(np.vstack(points))
     return np.asarray(cells[np.append(True, np.any(np.diff(cells, axis=0) != 0, axis=1))])
 
 

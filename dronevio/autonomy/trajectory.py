@@ -131,7 +131,7 @@ def _initial_durations(low: Array, high: Array, start: Array, goal: Array | None
     # Each end at rest needs time to reach the speed.
     legs[-1] += speed / limits.accel_m_s2
     legs[0] += max(speed - float(np.linalg.norm(velocity)), 0.0) / limits.accel_m_s2
-    return np.maximum(legs, 0.2 * speed / limits.accel_m_s2)
+    return np.asarray(np.maximum(legs, 0.2 * speed / limits.accel_m_s2))
 
 
 def _shortened_start(legs: Array, start: Array, low: Array, high: Array) -> Array:
