@@ -6,7 +6,7 @@ from dronevio.autonomy.corridor import Corridor, corridor_along, passable
 from dronevio.autonomy.quadratic_program import bounded_minimum
 from dronevio.autonomy.trajectory import CorridorTrajectory, corridor_trajectory
 from dronevio.estimator.mapping.distance import distance_field
-from dronevio.models.arrays import Array
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from dronevio.sim.paths.limits import Limits
 from dronevio.sim.paths.minimum_snap import minimum_time_knots
@@ -30,7 +30,7 @@ def cluttered(seed: int) -> OccupancyGrid:
     return OccupancyGrid(LOW_M, 0.1, states)
 
 
-def polyline_through(grid: OccupancyGrid, is_passable: Array, rng: np.random.Generator) -> Array:
+def polyline_through(grid: OccupancyGrid, is_passable: Mask, rng: np.random.Generator) -> Array:
     """Return a random walk of four legs whose cells are passable with a cell to spare."""
     cells = np.argwhere(is_passable)
     points = [grid.centres(cells[rng.integers(len(cells))])]
