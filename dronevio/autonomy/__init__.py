@@ -1,3 +1,3 @@
-"""Autonomy: routes and trajectories through known-free space."""
+"""Autonomy: routes through known-free space, corridors, and trajectories inside them."""
 
 __all__: list[str] = []
