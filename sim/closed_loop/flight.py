@@ -19,7 +19,7 @@ from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Controller, Estimator, exposure_delay_ns
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rotation import pose_matrix, rotation_z
-from dronevio.models.state import CameraFrame, Trajectory
+from dronevio.models.state import CameraFrame, Estimate, Trajectory
 from dronevio.sim.closed_loop.estimated_state import EstimatedState
 from dronevio.sim.closed_loop.frame_source import FrameSource
 from dronevio.sim.closed_loop.settings import LoopSettings
@@ -53,6 +53,9 @@ class Pilot(Protocol):
     def add_imu(self, samples: ImuSamples) -> None:
         """Add the IMU samples since the last call."""
 
+    def add_frame(self, frame: CameraFrame, estimate: Estimate) -> None:
+        """Add a frame and its estimate, in the frame of the odometry, once the estimator has received the frame."""
+
 
 class ReferencePilot:
     """Tracks the reference of the scenario to its end; implements `Pilot`."""
@@ -64,6 +67,9 @@ class ReferencePilot:
         return SE3Controller(reference, T_vehicle_imu, quadrotor)
 
     def add_imu(self, samples: ImuSamples) -> None:
+        """Do nothing."""
+
+    def add_frame(self, frame: CameraFrame, estimate: Estimate) -> None:
         """Do nothing."""
 
 
@@ -89,7 +95,7 @@ def fly_closed_loop(
         frames: Renderer of the frames.
         settings: Latencies.
         progress: Callback that receives the number of completed control steps and their total.
-        on_frame: Callback that receives every frame, after the estimator.
+        on_frame: Callback that receives every frame, after the estimator and before the pilot.
         pilot: Pilot of the vehicle; by default the controller of the scenarios, which tracks the reference.
         true_state: Whether the pilot receives the true state instead. The estimator runs, too, without influence, so
             that flights on both states can be compared.
@@ -120,13 +126,17 @@ def fly_closed_loop(
         estimator.add_imu(samples)
         pilot.add_imu(samples)
 
+    def see(frame: CameraFrame) -> None:
+        estimate = estimator.add_frame(frame)
+        on_frame(frame)
+        pilot.add_frame(frame, estimate)
+
     sense(sensors.imu())
     while step < steps and waited <= longest_wait and plant.collision is None and not pilot.finished:
         if (step + waited) % _REPORT_EVERY == 0:
             progress(step, steps)
         for frame in sensors.frames():
-            estimator.add_frame(frame)
-            on_frame(frame)
+            see(frame)
         if starts_in_air:
             estimated.start_at(plant.state().T_world_imu)
         state = estimated.at(plant.t_ns)
@@ -137,8 +147,7 @@ def fly_closed_loop(
         sense(sensors.imu(commands.popleft()))
         step, waited = step + (not waits), waited + waits
     for frame in sensors.frames(end=True):
-        estimator.add_frame(frame)
-        on_frame(frame)
+        see(frame)
     progress(steps, steps)
     return sensors.flight(_flown(planned, waited, step))
 

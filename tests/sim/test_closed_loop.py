@@ -14,7 +14,7 @@ from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import exp_so3, pose_matrix, rotation_z, yaw_rad_from_matrix
 from dronevio.models.state import CameraFrame, Estimate, NavState, Trajectory
 from dronevio.sim.closed_loop.estimated_state import transformed, world_from_odometry
-from dronevio.sim.closed_loop.flight import fly_closed_loop
+from dronevio.sim.closed_loop.flight import ReferencePilot, fly_closed_loop
 from dronevio.sim.closed_loop.settings import LoopSettings
 from dronevio.sim.flight import Flight, fly
 from dronevio.sim.scenario import Scenario
@@ -147,6 +147,29 @@ def test_frames_reach_the_estimator_after_their_latency(scenario: Scenario, late
     assert delay_s.min() >= max(latency_s, 0.001) - 1e-9
     assert delay_s.max() < max(latency_s, 0.001) + 0.005
     assert len(stamps) > 20
+
+
+class Watching(ReferencePilot):
+    """Pilot that records when frames and their estimates come."""
+
+    def __init__(self) -> None:
+        self.newest_ns = 0
+        self.seen: list[tuple[int, int, int]] = []
+
+    def add_imu(self, samples: ImuSamples) -> None:
+        self.newest_ns = int(samples.t_ns[-1])
+
+    def add_frame(self, frame: CameraFrame, estimate: Estimate) -> None:
+        self.seen.append((frame.t_ns, estimate.t_ns, self.newest_ns))
+
+
+@pytest.mark.parametrize("latency_s", [0.03, 0.11])
+def test_pilot_sees_each_frame_with_its_estimate_when_the_estimator_does(scenario: Scenario, latency_s: float) -> None:
+    odometry, pilot = Odometry(scenario.rig, ready_s=np.inf), Watching()
+    fly_closed_loop(scenario, odometry, NoImages(), LoopSettings(latency_s, max_wait_s=0.0), pilot=pilot)
+    assert [(frame_ns, now_ns) for frame_ns, _, now_ns in pilot.seen] == odometry.arrivals_ns
+    assert all(frame_ns == estimate_ns for frame_ns, estimate_ns, _ in pilot.seen)
+    assert len(pilot.seen) > 20
 
 
 def test_latency_of_commands(scenario: Scenario) -> None:

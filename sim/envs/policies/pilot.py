@@ -16,7 +16,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import Controller
 from dronevio.models.quadrotor import Quadrotor
-from dronevio.models.state import NavState
+from dronevio.models.state import CameraFrame, Estimate, NavState
 from dronevio.sim.envs.episodes.actions import action_mode
 from dronevio.sim.envs.episodes.endings import failures
 from dronevio.sim.envs.episodes.randomization import RandomizedParameters
@@ -97,6 +97,9 @@ class PolicyPilot:
         """Add the IMU samples since the last call."""
         for sample in np.concatenate([samples.gyro_rad_s, samples.accel_m_s2], axis=1):
             self._imu.append(sample)
+
+    def add_frame(self, frame: CameraFrame, estimate: Estimate) -> None:
+        """Do nothing: policies observe no images."""
 
     def controller(self, reference: Reference, T_vehicle_imu: Array, quadrotor: Quadrotor) -> Controller:
         """Return the controller of a flight, which takes off along a reference before the policy takes over.
