@@ -4,7 +4,7 @@ Doors stand open, without leaves; two corridors end at a window. What stands and
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -185,6 +185,7 @@ def _carpet(rng: Random, height: int, width: int, colour: Colour) -> Image:
 def _shell(plan: Plan, paints: _Paints) -> tuple[Face, ...]:
     """Return floors, ceilings and facades; floors extend below the walls around them."""
     faces: list[Face] = []
+    whole_floor, whole_ceiling = Instance("floor"), Instance("ceiling")
     white = partial(textures_building.ceiling_panels, colour=(206, 206, 200), px_per_m=_CEILING_PX_PER_M)
     corridor = len(plan.rooms)
     grounds = [(room, number) for number, room in enumerate(plan.rooms)]
@@ -193,7 +194,7 @@ def _shell(plan: Plan, paints: _Paints) -> tuple[Face, ...]:
         high = area.high + [WALL_M if number < corridor and EAST not in area.facades else 0.0, 0.0]
         floor = level_face(area.low, high, 0.0, True, paints.floors[number], _FLOOR_PX_PER_M)
         ceiling = level_face(area.low, high, float(HIGH_M[2]), False, white, _CEILING_PX_PER_M)
-        faces += [*parts_of(Instance("floor"), [floor]), *parts_of(Instance("ceiling"), [ceiling])]
+        faces += [replace(floor, instance=whole_floor), replace(ceiling, instance=whole_ceiling)]
     facades = [(area.wall(side), number) for area, number in grounds for side in area.facades]
     facades += [(hallway.wall, corridor) for hallway in plan.hallways if hallway.facade]
     for wall, number in facades:
