@@ -378,6 +378,22 @@ def test_the_variance_grows_with_the_slope() -> None:
     assert variance[40, 60] == pytest.approx((0.2 * rejection.SLANT_PX) ** 2, rel=0.02)
 
 
+def test_the_sky_beside_a_gate_has_not_the_depth_of_the_gate() -> None:
+    """Beside a textured strip before a plain background, the background is unknown but for two pixels at the edge."""
+    rig, pair = stereo()
+    height, width, noise, disparity = pair.camera.height, pair.camera.width, np.random.default_rng(0), 12
+    strip = 0.6 * cv2.resize(texture()[:height, :80].astype(float), (80, height))
+    images = []
+    for first in (120, 120 - disparity):
+        image = 200.0 + 0.5 * noise.normal(size=(height, width))
+        image[:, first : first + 80] = strip
+        images.append(np.rint(cv2.GaussianBlur(image, (0, 0), 0.7)).astype(np.uint8))
+    known = StereoDepth(rig, pair).disparity(*images)[0][20:-20] > 0.0
+    assert known[:, 120:200].mean() > 0.9
+    assert known[:, :118].mean() < 0.001
+    assert known[:, 202:].mean() < 0.001
+
+
 def test_small_patches_are_speckles() -> None:
     """A patch that nothing supports is left out."""
     disparity = np.full((40, 40), 5.0, np.float32)
