@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from dronevio.estimator.dense.views import View
 from dronevio.estimator.mapping import refinement, rejection
 from dronevio.estimator.mapping.camera_pose import delay_s, pose_after
 from dronevio.estimator.mapping.config import DenseMapConfig
@@ -14,10 +15,10 @@ from dronevio.estimator.mapping.dense_mapper import DenseMapper
 from dronevio.estimator.mapping.depth_source import depth_source
 from dronevio.estimator.mapping.rectification import Rectification, rectified_pair
 from dronevio.estimator.mapping.stereo_depth import StereoDepth
-from dronevio.estimator.mapping.sweep_depth import SweepDepth
+from dronevio.estimator.mapping.sweep_depth import SweepDepth, inverse_depth
 from dronevio.models.arrays import Array, Floats, Image, Mask
 from dronevio.models.camera import CameraModel
-from dronevio.models.depth import DepthImage
+from dronevio.models.depth import DepthImage, Pinhole
 from dronevio.models.errors import ConfigError
 from dronevio.models.occupancy import OCCUPIED
 from dronevio.models.rig import Rig, RigCamera
@@ -392,6 +393,25 @@ def test_the_sky_beside_a_gate_has_not_the_depth_of_the_gate() -> None:
     assert known[:, 120:200].mean() > 0.9
     assert known[:, :118].mean() < 0.001
     assert known[:, 202:].mean() < 0.001
+
+
+def test_one_camera_has_no_depth_of_the_sky_beside_a_gate() -> None:
+    """As with a pair: the strip is 2 m away, and moves by 6 pixels for each 10 cm."""
+    camera, noise = Pinhole(200, 150, np.array([[120.0, 0.0, 99.5], [0.0, 120.0, 74.5], [0.0, 0.0, 1.0]])), 0.5
+    strip, rng = 0.6 * cv2.resize(texture()[:150, :80].astype(float), (60, 150)), np.random.default_rng(0)
+    views = []
+    for step in range(4):
+        image = 200.0 + noise * rng.normal(size=(150, 200))
+        image[:, 80 - 6 * step : 140 - 6 * step] = strip
+        T = pose_matrix(np.eye(3), np.array([0.1 * step, 0.0, 0.0]))
+        grey = cv2.GaussianBlur(image, (0, 0), 1.2).astype(np.float32)
+        views.append(View(camera, T, grey, np.ones((150, 200), bool), np.zeros((0, 0, 3), np.uint8)))
+    found = inverse_depth(views[0], views[1:])
+    assert found is not None
+    known = found[0][20:-20] > 0.0
+    assert known[:, 80:140].mean() > 0.8
+    assert known[:, :78].mean() < 0.001
+    assert known[:, 142:].mean() < 0.001
 
 
 def test_small_patches_are_speckles() -> None:
