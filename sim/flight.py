@@ -17,6 +17,7 @@ from dronevio.sim.cameras.interpolation import interpolated_poses
 from dronevio.sim.cameras.schedule import FrameSchedule, nominal_stamps, schedule_frames
 from dronevio.sim.inertial.imu import ImuErrors
 from dronevio.sim.inertial.vibration import RotorHarmonics
+from dronevio.sim.paths.course import Course, ReferencePoint
 from dronevio.sim.paths.path import Reference, attitude, plan_reference
 from dronevio.sim.physics.collisions import Collision
 from dronevio.sim.physics.controller import SE3Controller
@@ -24,8 +25,8 @@ from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.world import collision_spec, flight_area, illumination_and_movers
 
-ControllerFactory = Callable[[Reference, Array, Quadrotor], Controller]
-"""Function that returns the controller of a flight, given the reference, the mounting T_vehicle_imu (4, 4) and the
+ControllerFactory = Callable[[Course, Array, Quadrotor], Controller]
+"""Function that returns the controller of a flight, given its course, the mounting T_vehicle_imu (4, 4) and the
 vehicle."""
 
 _REPORT_EVERY = 100  # control steps between two reports of progress
@@ -122,7 +123,7 @@ def fly(scenario: Scenario, progress: Progress = silent, controller: ControllerF
     plant = plant_of(scenario)
     reference = reference_of(scenario, plant)
     if reference.flying[0]:
-        start_in_air(plant, reference)
+        start_in_air(plant, reference.point(0))
     control = controller(reference, rig.T_vehicle_imu, scenario.quadrotor)
     steps = len(reference) - 1
     for step in range(steps):
@@ -147,14 +148,14 @@ def _at_control_rate(rig: Rig, rate_hz: float | None) -> Rig:
     return rig if rate_hz is None else replace(rig, imu=replace(rig.imu, rate_hz=rate_hz))
 
 
-def start_in_air(plant: QuadrotorPlant, reference: Reference) -> None:
-    """Set the vehicle to the state of the first row of a reference that starts in motion."""
-    force = reference.acceleration_m_s2[0] + [0.0, 0.0, GRAVITY_M_S2]
+def start_in_air(plant: QuadrotorPlant, start: ReferencePoint) -> None:
+    """Set the vehicle to the state of the first point of a course that starts in motion."""
+    force = start.acceleration_m_s2 + [0.0, 0.0, GRAVITY_M_S2]
     speed = plant.quadrotor.hover_speed_rad_s * np.sqrt(np.linalg.norm(force) / GRAVITY_M_S2)  # thrust ∝ ω²
     plant.reset(
-        pose_matrix(attitude(force, reference.yaw_rad[0]), reference.position_m[0]),
-        reference.velocity_m_s[0],
-        reference.rate_rad_s[0],
+        pose_matrix(attitude(force, np.asarray(start.yaw_rad)), start.position_m),
+        start.velocity_m_s,
+        start.rate_rad_s,
         np.full(4, speed),
     )
 

@@ -49,6 +49,11 @@ class EstimatedState:
         self._estimator, self._T_world_imu = estimator, T_world_imu
         self._T_world_odom: Array | None = None
 
+    @property
+    def T_world_odom(self) -> Array | None:
+        """(4, 4) Pose of the odometry frame in the world, constant from the first state on; None before."""
+        return self._T_world_odom
+
     def at(self, t_ns: int) -> NavState | None:
         """Return the estimated state of the IMU in the world at its last sample not after a time [ns].
 

@@ -7,7 +7,7 @@ therefore become errors of the path, and errors of the path change what the sens
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -19,7 +19,8 @@ from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Controller, Estimator, exposure_delay_ns
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rotation import pose_matrix, rotation_z
-from dronevio.models.state import CameraFrame, Estimate, Trajectory
+from dronevio.models.state import CameraFrame, Estimate, Health, NavState, Trajectory
+from dronevio.sim.cameras.interpolation import interpolated_poses
 from dronevio.sim.closed_loop.estimated_state import EstimatedState
 from dronevio.sim.closed_loop.frame_source import FrameSource
 from dronevio.sim.closed_loop.settings import LoopSettings
@@ -31,6 +32,7 @@ from dronevio.sim.flight import (
     reference_of,
     start_in_air,
 )
+from dronevio.sim.paths.course import Course, ReferencePoint
 from dronevio.sim.paths.path import Reference
 from dronevio.sim.physics.controller import SE3Controller
 from dronevio.sim.physics.plant import QuadrotorPlant
@@ -45,16 +47,26 @@ class Pilot(Protocol):
 
     @property
     def finished(self) -> bool:
-        """Whether the flight ends before the plan of the scenario does."""
+        """Whether the flight ends before its course does."""
 
-    def controller(self, reference: Reference, T_vehicle_imu: Array, quadrotor: Quadrotor) -> Controller:
-        """Return the controller of the flight; see `ControllerFactory`."""
+    def course(self, scenario: Scenario, plant: QuadrotorPlant) -> Course:
+        """Return the course of a flight, given the vehicle at rest on its pad. It is asked for once, at the start."""
+
+    def controller(self, course: Course, T_vehicle_imu: Array, quadrotor: Quadrotor) -> Controller:
+        """Return the controller of the flight, given its course, the mounting (4, 4) of the IMU and the vehicle."""
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Add the IMU samples since the last call."""
 
-    def add_frame(self, frame: CameraFrame, estimate: Estimate) -> None:
-        """Add a frame and its estimate, in the frame of the odometry, once the estimator has received the frame."""
+    def add_frame(self, frame: CameraFrame, estimate: Estimate, T_world_odom: Array | None) -> None:
+        """Add a frame and its estimate, once the estimator has received the frame.
+
+        Args:
+            frame: The frame.
+            estimate: Its estimate, in the frame of the odometry.
+            T_world_odom: (4, 4) Pose of that frame in the world, as the states for the controller are placed; None
+                before the first of them.
+        """
 
 
 class ReferencePilot:
@@ -62,14 +74,18 @@ class ReferencePilot:
 
     finished = False
 
-    def controller(self, reference: Reference, T_vehicle_imu: Array, quadrotor: Quadrotor) -> Controller:
+    def course(self, scenario: Scenario, plant: QuadrotorPlant) -> Course:
+        """Return the reference of the scenario."""
+        return reference_of(scenario, plant)
+
+    def controller(self, course: Course, T_vehicle_imu: Array, quadrotor: Quadrotor) -> Controller:
         """Return the controller of the scenarios."""
-        return SE3Controller(reference, T_vehicle_imu, quadrotor)
+        return SE3Controller(course, T_vehicle_imu, quadrotor)
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Do nothing."""
 
-    def add_frame(self, frame: CameraFrame, estimate: Estimate) -> None:
+    def add_frame(self, frame: CameraFrame, estimate: Estimate, T_world_odom: Array | None) -> None:
         """Do nothing."""
 
 
@@ -85,8 +101,8 @@ def fly_closed_loop(
 ) -> Flight:
     """Simulate a scenario with an estimator, whose state the pilot receives, until the end or a collision.
 
-    The vehicle stands on its pad, with the rotors stopped, until the estimator has a state; the planned pose on the pad
-    places the estimate in the world. A scenario that starts in motion is flown on the true state until the first
+    The vehicle stands on its pad, with the rotors stopped, until the estimator has a state; the pose at the start of
+    the course places the estimate in the world. A scenario that starts in motion is flown on the true state until the first
     estimate, which the true pose places in the world.
 
     Args:
@@ -97,8 +113,8 @@ def fly_closed_loop(
         progress: Callback that receives the number of completed control steps and their total.
         on_frame: Callback that receives every frame, after the estimator and before the pilot.
         pilot: Pilot of the vehicle; by default the controller of the scenarios, which tracks the reference.
-        true_state: Whether the pilot receives the true state instead. The estimator runs, too, without influence, so
-            that flights on both states can be compared.
+        true_state: Whether the pilot receives true states instead, of commands and of frames. The estimator runs, too,
+            without influence, so that flights on both states can be compared.
 
     Returns:
         The flight, with the reference as it was flown, including the wait on the pad. The flight ends on the pad if the
@@ -109,47 +125,54 @@ def fly_closed_loop(
     """
     settings = settings or LoopSettings()
     _check_control_rate(scenario)
-    plant = plant_of(scenario)
-    planned = reference_of(scenario, plant)
-    starts_in_air = bool(planned.flying[0])
-    if starts_in_air:
-        start_in_air(plant, planned)
-    estimated = EstimatedState(estimator, None if starts_in_air else _pose_on_pad(planned, scenario))
-    sensors = _Sensors(scenario, plant, frames, settings, int(planned.t_ns[-1]))
-    pilot = pilot or ReferencePilot()
-    control = pilot.controller(planned, scenario.rig.T_vehicle_imu, scenario.quadrotor)
+    plant, pilot = plant_of(scenario), pilot or ReferencePilot()
+    course = pilot.course(scenario, plant)
+    start = course.point(0)
+    if start.flying:
+        start_in_air(plant, start)
+    estimated = EstimatedState(estimator, None if start.flying else _pose_on_pad(start, scenario))
+    sensors = _Sensors(scenario, plant, frames, settings, course.end_ns)
+    control = pilot.controller(course, scenario.rig.T_vehicle_imu, scenario.quadrotor)
     commands = deque([np.zeros(4)] * round(settings.command_latency_s / plant.interval_s))
     longest_wait = round(settings.max_wait_s / plant.interval_s)
-    step, waited, steps = 0, 0, len(planned) - 1
+    step, waited, steps = 0, 0, course.end_ns // plant.interval_ns
+    tracked: list[ReferencePoint] = []
 
     def sense(samples: ImuSamples) -> None:
         estimator.add_imu(samples)
         pilot.add_imu(samples)
 
-    def see(frame: CameraFrame) -> None:
+    def see(frame: CameraFrame, exposed_ns: int) -> None:
         estimate = estimator.add_frame(frame)
         on_frame(frame)
-        pilot.add_frame(frame, estimate)
+        if true_state:
+            pilot.add_frame(frame, sensors.true_estimate(frame.t_ns, exposed_ns), np.eye(4))
+        else:
+            pilot.add_frame(frame, estimate, estimated.T_world_odom)
 
     sense(sensors.imu())
     while step < steps and waited <= longest_wait and plant.collision is None and not pilot.finished:
         if (step + waited) % _REPORT_EVERY == 0:
             progress(step, steps)
-        for frame in sensors.frames():
-            see(frame)
-        if starts_in_air:
+        for seen in sensors.frames():
+            see(*seen)
+        if start.flying:
             estimated.start_at(plant.state().T_world_imu)
         state = estimated.at(plant.t_ns)
-        if true_state or (state is None and starts_in_air):
+        if true_state or (state is None and start.flying):
             state = plant.state()
-        waits = state is None and bool(planned.flying[step])
-        commands.append(np.zeros(4) if state is None else control.command(state, int(planned.t_ns[step])))
+        t_ns = step * plant.interval_ns
+        point = course.point(t_ns)
+        waits = state is None and point.flying
+        tracked.append(tracked[-1] if waits and tracked else point)
+        commands.append(np.zeros(4) if state is None else control.command(state, t_ns))
         sense(sensors.imu(commands.popleft()))
         step, waited = step + (not waits), waited + waits
-    for frame in sensors.frames(end=True):
-        see(frame)
+    for seen in sensors.frames(end=True):
+        see(*seen)
     progress(steps, steps)
-    return sensors.flight(_flown(planned, waited, step))
+    tracked.append(course.point(step * plant.interval_ns))
+    return sensors.flight(Reference.of(tracked, plant.interval_ns))
 
 
 def _check_control_rate(scenario: Scenario) -> None:
@@ -197,16 +220,27 @@ class _Sensors:
         self._measured.append(self._errors.add_to(perfect, plant.rotor_speeds_rad_s[None]))
         return self._measured[-1][0]
 
-    def frames(self, end: bool = False) -> Iterator[CameraFrame]:
-        """Yield the frames that have become available; at the end also those whose exposure has begun before it."""
+    def frames(self, end: bool = False) -> Iterator[tuple[CameraFrame, int]]:
+        """Yield the frames that have become available, with the true middles of their exposures [ns].
+
+        At the end, they include those whose exposure has begun before it.
+        """
         now_ns, schedule = self._plant.t_ns, self._schedule
         due_ns = schedule.exposed_ns + 1 if end else self._available_ns
         while self._next < len(schedule) and due_ns[self._next] <= now_ns:
             k, self._next = self._next, self._next + 1
             exposed_ns = int(schedule.exposed_ns[k])
-            yield self._frames.frame(
-                int(schedule.stamps_ns[k]), exposed_ns, bool(schedule.lit[k]), self._recent(exposed_ns)
-            )
+            recent = self._recent(exposed_ns)
+            yield self._frames.frame(int(schedule.stamps_ns[k]), exposed_ns, bool(schedule.lit[k]), recent), exposed_ns
+
+    def true_estimate(self, t_ns: int, exposed_ns: int) -> Estimate:
+        """Return the true state in the middle of an exposure [ns] in place of the estimate for a time stamp [ns]."""
+        recent = self._recent(exposed_ns)
+        row = max(int(np.searchsorted(recent.t_ns, exposed_ns, side="right")) - 1, 0)
+        assert recent.velocity_m_s is not None
+        T = interpolated_poses(recent, np.array([exposed_ns]))[0]
+        state = NavState(t_ns, T, recent.velocity_m_s[row], np.zeros(3), np.zeros(3))
+        return Estimate(t_ns, Health.TRACKING, state, T_map_odom=np.eye(4), exposed=state)
 
     def flight(self, reference: Reference) -> Flight:
         """Return the whole flight."""
@@ -235,15 +269,7 @@ class _Sensors:
         return self._plant.motion(first).trajectory(self._scenario.true_rig.T_vehicle_imu)
 
 
-def _pose_on_pad(reference: Reference, scenario: Scenario) -> Array:
-    """Return the planned pose T_world_imu (4, 4) at the start of a reference."""
-    T_world_vehicle = pose_matrix(rotation_z(reference.yaw_rad[0]), reference.position_m[0])
+def _pose_on_pad(start: ReferencePoint, scenario: Scenario) -> Array:
+    """Return the planned pose T_world_imu (4, 4) at the start of a course."""
+    T_world_vehicle = pose_matrix(rotation_z(start.yaw_rad), start.position_m)
     return np.asarray(T_world_vehicle @ scenario.rig.T_vehicle_imu)
-
-
-def _flown(planned: Reference, waited: int, steps: int) -> Reference:
-    """Return the first rows of a reference, with additional rows on the pad before the take-off."""
-    standing = max(int(np.argmax(planned.flying)) - 1, 0)
-    rows = np.insert(np.arange(steps + 1), standing, np.full(waited, standing))
-    columns = {field.name: getattr(planned, field.name)[rows] for field in fields(planned)}
-    return Reference(**{**columns, "t_ns": planned.t_ns[1] * np.arange(len(rows))})

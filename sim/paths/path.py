@@ -8,6 +8,7 @@ that the rotors can follow a smooth trajectory.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,7 @@ from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2, Times
 from dronevio.models.rotation import log_so3
+from dronevio.sim.paths.course import ReferencePoint
 from dronevio.sim.paths.plan import TIMED_WAYPOINTS, FlightPlan
 from dronevio.sim.paths.route import leg_clearances
 from dronevio.sim.paths.segments import PathSegment, shape_segment, straight, timed_segment
@@ -28,7 +30,7 @@ _WHOLE_NS = 100_000_000  # the final rest is extended to a multiple of this
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Reference trajectory of a controller, sampled on a uniform grid of times."""
+    """Reference trajectory of a controller, sampled on a uniform grid of times; implements `Course`."""
 
     t_ns: Times
     """(N,) Times from 0 at equal intervals [ns]."""
@@ -47,8 +49,41 @@ class Reference:
     flying: npt.NDArray[np.bool_]
     """(N,) Whether the rotors turn."""
 
+    @classmethod
+    def of(cls, points: Sequence[ReferencePoint], interval_ns: int) -> Self:
+        """Return the reference of points at equal intervals [ns], from t = 0 on."""
+        columns = [np.array(column) for column in zip(*points, strict=True)]
+        return cls(np.arange(len(points), dtype=np.int64) * interval_ns, *columns)
+
     def __len__(self) -> int:
         return len(self.t_ns)
+
+    @property
+    def interval_ns(self) -> int:
+        """Time between two rows [ns]."""
+        return int(self.t_ns[1] - self.t_ns[0])
+
+    @property
+    def end_ns(self) -> int:
+        """Time of the last row [ns]."""
+        return int(self.t_ns[-1])
+
+    def point(self, t_ns: int) -> ReferencePoint:
+        """Return the last row not after ``t_ns``.
+
+        Raises:
+            ConfigError: The time is outside the reference.
+        """
+        row = self.row(t_ns)
+        return ReferencePoint(
+            self.position_m[row],
+            self.velocity_m_s[row],
+            self.acceleration_m_s2[row],
+            float(self.yaw_rad[row]),
+            self.rate_rad_s[row],
+            self.angular_acceleration_rad_s2[row],
+            bool(self.flying[row]),
+        )
 
     def row(self, t_ns: int) -> int:
         """Return the last row not after ``t_ns``.

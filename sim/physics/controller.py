@@ -14,7 +14,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import RESEARCH, Quadrotor
 from dronevio.models.rotation import cross, inverse_pose
 from dronevio.models.state import NavState
-from dronevio.sim.paths.path import Reference
+from dronevio.sim.paths.course import Course, ReferencePoint
 from dronevio.sim.physics.cascade import Body, Cascade, Loads, attitude_along
 from dronevio.sim.physics.gains import Gains
 
@@ -22,28 +22,28 @@ _CLEAR_OF_GROUND_M = 0.05  # height above the start from which no foot carries w
 
 
 class SE3Controller:
-    """Tracks a reference trajectory; implements `Controller`.
+    """Tracks a course; implements `Controller`.
 
     It controls the vehicle frame at the centre of mass from the state of the IMU, wherever that is mounted. It models
-    the rotor speeds itself (starting at hover speed if the reference begins in the air), and must be called for every
-    step of the reference in order.
+    the rotor speeds itself (starting at hover speed if the course begins in the air), and must be called for every
+    interval of the course in order.
     """
 
     def __init__(
-        self, reference: Reference, T_vehicle_imu: Array, quadrotor: Quadrotor | None = None, gains: Gains | None = None
+        self, course: Course, T_vehicle_imu: Array, quadrotor: Quadrotor | None = None, gains: Gains | None = None
     ) -> None:
-        """Define reference, vehicle and gains.
+        """Define course, vehicle and gains.
 
         Args:
-            reference: The reference trajectory.
+            course: What is tracked, such as a reference trajectory.
             T_vehicle_imu: (4, 4) Mounting of the IMU.
             quadrotor: Parameters of the vehicle; the research quadrotor of 1.5 kg by default.
             gains: Gains of the controller.
         """
-        self._reference = reference
-        interval_s = float(reference.t_ns[1] - reference.t_ns[0]) * 1e-9
-        self._cascade = Cascade(quadrotor or RESEARCH, gains or Gains(), interval_s)
-        self._airborne = bool(reference.flying[0])
+        self._course = course
+        start = course.point(0)
+        self._cascade = Cascade(quadrotor or RESEARCH, gains or Gains(), course.interval_ns * 1e-9)
+        self._ground_m, self._airborne = float(start.position_m[2]), start.flying
         speed = self._cascade.quadrotor.hover_speed_rad_s if self._airborne else 0.0
         self._state = self._cascade.at(np.full(4, speed), np.zeros(3), np.zeros(3))
         self._observing = False
@@ -57,25 +57,20 @@ class SE3Controller:
         Raises:
             ConfigError: The state has no angular velocity, or the reference ends before ``t_ns``.
         """
-        reference, cascade = self._reference, self._cascade
-        row = reference.row(t_ns)
-        if not reference.flying[row]:
+        point, cascade = self._course.point(t_ns), self._cascade
+        if not point.flying:
             self._state = cascade.stopped(self._state)
             return np.zeros(4)
         body = self._body(state)
         loads = cascade.loads(self._state, body)
-        if self._has_taken_off(row):
+        if self._has_taken_off(point):
             self._observe(body, loads)
         force = cascade.specific_force(
-            self._state,
-            body,
-            reference.position_m[row],
-            reference.velocity_m_s[row],
-            reference.acceleration_m_s2[row],
+            self._state, body, point.position_m, point.velocity_m_s, point.acceleration_m_s2
         )
-        R_desired = attitude_along(force, float(reference.yaw_rad[row]))
+        R_desired = attitude_along(force, point.yaw_rad)
         acceleration = cascade.angular_acceleration(
-            self._state, body, R_desired, reference.rate_rad_s[row], reference.angular_acceleration_rad_s2[row]
+            self._state, body, R_desired, point.rate_rad_s, point.angular_acceleration_rad_s2
         )
         thrust_n = cascade.quadrotor.mass_kg * np.vecdot(force, body.R_world_vehicle[:, 2]) / loads.lift
         command, self._state = cascade.commands(self._state, loads, thrust_n, acceleration)
@@ -94,10 +89,9 @@ class SE3Controller:
         rate = self._R_vehicle_imu @ state.angular_velocity_rad_s
         return Body(T[:3, 3], R, state.velocity_m_s - R @ cross(rate, self._lever), rate)
 
-    def _has_taken_off(self, row: int) -> bool:
+    def _has_taken_off(self, point: ReferencePoint) -> bool:
         """Return whether the drone has left the ground, whose contact forces are no disturbance."""
-        height = self._reference.position_m[:, 2]
-        self._airborne = self._airborne or bool(height[row] - height[0] > _CLEAR_OF_GROUND_M)
+        self._airborne = self._airborne or bool(point.position_m[2] - self._ground_m > _CLEAR_OF_GROUND_M)
         return self._airborne
 
     def _observe(self, body: Body, loads: Loads) -> None:

@@ -159,7 +159,7 @@ class Watching(ReferencePilot):
     def add_imu(self, samples: ImuSamples) -> None:
         self.newest_ns = int(samples.t_ns[-1])
 
-    def add_frame(self, frame: CameraFrame, estimate: Estimate) -> None:
+    def add_frame(self, frame: CameraFrame, estimate: Estimate, T_world_odom: Array | None) -> None:
         self.seen.append((frame.t_ns, estimate.t_ns, self.newest_ns))
 
 

@@ -24,9 +24,12 @@ from dronevio.sim.envs.policies.mission import PolicyMission
 from dronevio.sim.envs.sensing.estimator_loop import Perceived
 from dronevio.sim.envs.sensing.observations import ObservedState, limits_of, observation_named
 from dronevio.sim.envs.tasks import Objective, Transition
-from dronevio.sim.paths.path import Reference
+from dronevio.sim.flight import reference_of
+from dronevio.sim.paths.course import Course
 from dronevio.sim.physics.controller import SE3Controller
+from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.physics.vehicle_states import VehicleStates
+from dronevio.sim.scenario import Scenario
 
 OBSERVED_IN_FLIGHT = (
     "position",
@@ -98,18 +101,22 @@ class PolicyPilot:
         for sample in np.concatenate([samples.gyro_rad_s, samples.accel_m_s2], axis=1):
             self._imu.append(sample)
 
-    def add_frame(self, frame: CameraFrame, estimate: Estimate) -> None:
+    def add_frame(self, frame: CameraFrame, estimate: Estimate, T_world_odom: Array | None) -> None:
         """Do nothing: policies observe no images."""
 
-    def controller(self, reference: Reference, T_vehicle_imu: Array, quadrotor: Quadrotor) -> Controller:
-        """Return the controller of a flight, which takes off along a reference before the policy takes over.
+    def course(self, scenario: Scenario, plant: QuadrotorPlant) -> Course:
+        """Return the reference of the scenario, of which the take-off is flown."""
+        return reference_of(scenario, plant)
+
+    def controller(self, course: Course, T_vehicle_imu: Array, quadrotor: Quadrotor) -> Controller:
+        """Return the controller of a flight, which takes off before the policy takes over.
 
         Args:
-            reference: Reference trajectory, of which the take-off is flown.
+            course: Course of the take-off.
             T_vehicle_imu: (4, 4) Mounting of the IMU.
             quadrotor: The vehicle.
         """
-        return _TakeOff(SE3Controller(reference, T_vehicle_imu, quadrotor), self, self._mission.begins_ns)
+        return _TakeOff(SE3Controller(course, T_vehicle_imu, quadrotor), self, self._mission.begins_ns)
 
     def command(self, state: NavState) -> Array:
         """Return the rotor speeds (4,) [rad/s] for one interval of the IMU.
