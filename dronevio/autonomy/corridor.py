@@ -9,6 +9,7 @@ quadrotors in cluttered environments", 2019, for the corridors of boxes.
 """
 
 from dataclasses import dataclass
+from itertools import permutations
 
 import numpy as np
 
@@ -41,8 +42,9 @@ def passable(grid: OccupancyGrid, distance: DistanceField, clearance_m: float) -
 def corridor_along(grid: OccupancyGrid, is_passable: Mask, waypoints: Array, reach_m: float) -> Corridor | None:
     """Return the corridor along a polyline, or None if the polyline leaves the passable cells.
 
-    Every point of a box lies in a passable cell. Two consecutive cells of the polyline must have a passable bounding
-    box, which holds for a polyline whose cells have two cells more clearance than passable ones need.
+    Every point of a box lies in a passable cell. Where the polyline passes between cells diagonally, it goes through one
+    of the cells beside that is passable; there is one for a polyline whose cells have two cells more clearance than
+    passable ones need.
 
     Args:
         grid: Grid that defines the cells.
@@ -54,6 +56,7 @@ def corridor_along(grid: OccupancyGrid, is_passable: Mask, waypoints: Array, rea
     cells = _cells_along(grid, waypoints)
     if not (np.all((cells >= 0) & (cells < is_passable.shape)) and np.all(is_passable[tuple(cells.T)])):
         return None
+    cells = _through_faces(cells, is_passable)
     reach = max(int(reach_m / grid.cell_m), 1)
     low, high = np.maximum(cells.min(axis=0) - reach, 0), cells.max(axis=0) + reach + 1
     window = is_passable[tuple(slice(*ends) for ends in zip(low, high, strict=True))]
@@ -81,6 +84,27 @@ def _cells_along(grid: OccupancyGrid, waypoints: Array) -> Integers:
     points = [waypoints[:1], *(np.linspace(start, end, count) for start, end, count in legs)]
     cells = grid.cells(np.vstack(points))
     return np.asarray(cells[np.append(True, np.any(np.diff(cells, axis=0) != 0, axis=1))])
+
+
+def _through_faces(cells: Integers, is_passable: Mask) -> Integers:
+    """Return cells (M, 3) with further ones between those that share no face, by way of passable cells if there are."""
+    chain = [cells[:1]]
+    for a, b in zip(cells[:-1], cells[1:], strict=True):
+        axes = np.flatnonzero(a != b)
+        if len(axes) > 1:
+            ways = (_steps(a, b, order) for order in permutations(axes.tolist()))
+            chain.append(next((way for way in ways if is_passable[tuple(way.T)].all()), b[None]))
+        else:
+            chain.append(b[None])
+    return np.concatenate(chain)
+
+
+def _steps(a: Integers, b: Integers, axes: tuple[int, ...]) -> Integers:
+    """Return the cells (K, 3) from one to another by a step along each axis in turn, without the first."""
+    way = np.repeat(a[None], len(axes), axis=0)
+    for k, axis in enumerate(axes):
+        way[k:, axis] = b[axis]
+    return way
 
 
 def _summed(values: Mask) -> Integers:

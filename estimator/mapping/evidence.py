@@ -1,10 +1,12 @@
 """Evidence of a depth image about the cells of a lattice: log-odds of being occupied.
 
 A cell is free if all of it lies in front of the nearest depth that any pixel of its footprint in the image can have;
-a pixel of unknown depth may have any, unless it lies in a small hole, which has the nearest of the depths around it. A
-cell is occupied if the point of a pixel lies in it. Behind surfaces nothing is known.
+a pixel of unknown depth may have any, unless it lies in a hole that is too small or too thin to hide a thing at the
+distance of the cell, which has the nearest of the depths around it. A cell is occupied if the point of a pixel lies in
+it. Behind surfaces nothing is known.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import reduce
 
@@ -26,6 +28,11 @@ FULL_BLOCKS = 3.0
 """Number of blocks of pixels whose points in a cell are full evidence that it is occupied."""
 HOLE_PX = 13
 """Length of holes in the depth that may hide a thing; an odd number [px]."""
+HIDDEN_M = 0.04
+"""Width of the thinnest thing that a hole may hide, at any distance [m]."""
+_THIN_PX = (3, 5, 9, 17)
+"""Widths of holes that are told apart: a hole that is thinner than one of them hides nothing at distances at which
+`HIDDEN_M` is wider [px]."""
 _LARGEST = 65535
 """Largest quantized depth, that of the range."""
 
@@ -98,15 +105,30 @@ def _add_free(
     half_m = np.float32(0.5 * cell_m * float(np.abs(R[:, 2]).sum()))
     of_column, of_row = (_half_sides(depth.camera, R, axis, cell_m) for axis in (0, 1))
     least, most = max(of_column.min(), of_row.min()), max(of_column.max(), of_row.max())
-    windows = NearestDepths.of(_free_to(depth, far_m), float(least) / far_m + 0.5)
-    near_m = float(half_m + most / (windows.reach_px[-1] - 0.5))
+    bands = _bands(depth.camera, far_m)
+    windows = [
+        NearestDepths.of(free_to, float(least) / end_m + 0.5) for end_m, free_to in _free_to(depth, far_m, bands)
+    ]
+    near_m = float(half_m + most / (min(each.reach_px[-1] for each in windows) - 0.5))
     if near_m >= far_m - half_m:
         return
     cells, z, u, v = _cells_in_view(low, shape, depth, cell_m, near_m, float(far_m - half_m))
     # All pixels of which a part lies in the footprint
     radius = (np.maximum(np.take(of_column, u), np.take(of_row, v)) / (z - half_m) + np.float32(1.499)).astype(np.int32)
-    is_free = (z + half_m) * np.float32(_LARGEST / far_m) <= windows.at(u, v, radius)
+    ends = np.array([end_m for end_m, _ in bands[1:]], np.float32) - half_m
+    band = np.count_nonzero(z <= ends[:, None], axis=0)
+    nearest = np.zeros(len(z), np.uint16)
+    for number, each in enumerate(windows):
+        own = np.flatnonzero(band == number)
+        nearest[own] = each.at(u[own], v[own], radius[own])
+    is_free = (z + half_m) * np.float32(_LARGEST / far_m) <= nearest
     log_odds[cells] = np.where(is_free, np.float32(FREE_LOG_ODDS), np.float32(0.0))
+
+
+def _bands(camera: Pinhole, far_m: float) -> list[tuple[float, int]]:
+    """Return bands of depth from far to near: the end of each [m], and the width of holes that hide nothing [px]."""
+    ends = ((HIDDEN_M * float(camera.K[0, 0]) / width_px, width_px) for width_px in _THIN_PX)
+    return [(far_m, 0), *((end_m, width_px) for end_m, width_px in ends if end_m < far_m)]
 
 
 def _half_sides(camera: Pinhole, R: Array, axis: int, cell_m: float) -> Floats:
@@ -124,17 +146,25 @@ def _half_sides(camera: Pinhole, R: Array, axis: int, cell_m: float) -> Floats:
     return np.asarray(np.maximum(sides[:-1], sides[1:]), np.float32)
 
 
-def _free_to(depth: DepthImage, far_m: float) -> Values:
-    """Return up to which depth each pixel is free (H, W), in steps of ``far_m`` / 65535; 0 where it is unknown.
+def _free_to(depth: DepthImage, far_m: float, bands: list[tuple[float, int]]) -> Iterator[tuple[float, Values]]:
+    """Yield up to which depth each pixel is free (H, W) in each band, in steps of ``far_m`` / 65535; 0 where unknown.
 
     Matchers reject single pixels of smooth surfaces, and all pixels along thin things such as poles. A pixel of unknown
-    depth is therefore as near as its surroundings if no line through it is unknown for `HOLE_PX`, otherwise unknown.
+    depth is therefore as near as its surroundings if no line through it is unknown for `HOLE_PX`, or if no square of
+    unknown pixels of the width of the band contains it, otherwise unknown.
     """
     free_to = _in_steps(depth.depth_m, depth.sigma_m, 1.0, -FREE_SIGMAS, far_m)
     is_known = depth.known.view(np.uint8)
-    around = cv2.erode(free_to - (is_known == 0), np.ones((HOLE_PX, HOLE_PX), np.uint8))  # 0 - 1 is the largest value
-    in_small = reduce(np.bitwise_and, (cv2.morphologyEx(is_known, cv2.MORPH_CLOSE, line) for line in _LINES))
-    return np.asarray(np.where(depth.known, free_to, around * in_small), np.uint16)
+    is_unknown = np.asarray(1 - is_known, np.uint8)
+    around = cv2.erode(free_to - is_unknown, np.ones((HOLE_PX, HOLE_PX), np.uint8))  # 0 - 1 is the largest value
+    small = reduce(np.bitwise_and, (cv2.morphologyEx(is_known, cv2.MORPH_CLOSE, line) for line in _LINES))
+    for end_m, width_px in bands:
+        if width_px:
+            square = np.ones((width_px, width_px), np.uint8)
+            small = small | (cv2.morphologyEx(is_unknown, cv2.MORPH_OPEN, square, borderValue=1) == 0)
+        if width_px > HOLE_PX:
+            around = cv2.erode(free_to - is_unknown, np.ones((width_px, width_px), np.uint8))
+        yield end_m, np.asarray(np.where(depth.known, free_to, around * small), np.uint16)
 
 
 def _cells_in_view(
