@@ -22,9 +22,9 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from dronevio.autonomy.route import NoRoute, Route, route
+from dronevio.autonomy.true_map import clear_samples, true_map
 from dronevio.estimator.mapping.distance import distance_field
-from dronevio.models.arrays import Array, Mask
-from dronevio.models.occupancy import FREE, OCCUPIED, OccupancyGrid
+from dronevio.models.arrays import Array
 from dronevio.sim.paths.space import Space
 from dronevio.sim.world import WORLDS, solid_space
 
@@ -42,32 +42,6 @@ EXCESS = 1.05
 directions."""
 
 
-def sampled(space: Space, spacing_m: float, shift: float, least_m: float) -> tuple[Array, Mask]:
-    """Return the first sample (3,) of a space and whether samples (X, Y, Z) have a clearance.
-
-    The first is `shift` spacings from the corner. Clearance is Lipschitz continuous with constant 1, which decides most
-    blocks of 4 x 4 x 4 samples by their middles.
-    """
-    low, counts = space.low + spacing_m * shift, np.ceil((space.high - space.low) / spacing_m - 1e-9).astype(int)
-    blocks = np.argwhere(np.ones(-(-counts // 4), np.bool_))
-    middle = space.clearance(low + spacing_m * (4 * blocks + 1.5))
-    radius_m = 1.5 * 3.0**0.5 * spacing_m
-    within = np.argwhere(np.ones((4, 4, 4), np.bool_))
-    is_clear = np.zeros(tuple(4 * -(-counts // 4)), np.bool_)
-    whole = (4 * blocks[middle >= least_m + radius_m][:, None] + within).reshape(-1, 3)
-    is_clear[tuple(whole.T)] = True
-    rest = (4 * blocks[np.abs(middle - least_m) < radius_m][:, None] + within).reshape(-1, 3)
-    is_clear[tuple(rest.T)] = space.clearance(low + spacing_m * rest) >= least_m
-    return low, is_clear[: counts[0], : counts[1], : counts[2]]
-
-
-def perfect_map(space: Space) -> OccupancyGrid:
-    """Return the map of a space: occupied are the cells that a solid may touch."""
-    _, is_free = sampled(space, CELL_M, 0.5, 0.5 * 3.0**0.5 * CELL_M)
-    states = np.where(is_free, FREE, OCCUPIED).astype(np.uint8)
-    return OccupancyGrid(space.low, CELL_M, states, "map")
-
-
 @dataclass(frozen=True, eq=False)
 class Roads:
     """Shortest paths between samples of the true space."""
@@ -78,7 +52,7 @@ class Roads:
     @classmethod
     def of(cls, space: Space) -> "Roads":
         """Return the paths with the clearance that routes keep."""
-        low, usable = sampled(space, COARSE_M, 0.5, TRUE_M)
+        low, usable = clear_samples(space, COARSE_M, 0.5, TRUE_M)
         index = np.full(usable.shape, -1)
         index[usable] = np.arange(np.count_nonzero(usable))
         cells, shape = np.argwhere(usable), np.array(usable.shape)
@@ -106,7 +80,7 @@ class Roads:
 
 def queries(space: Space, number: int, solvable_m: float) -> list[tuple[Array, Array]]:
     """Return starts (3,) with their goals (K, 3), which the true space connects with a clearance."""
-    low, is_clear = sampled(space, CELL_M, 0.25, solvable_m)
+    low, is_clear = clear_samples(space, CELL_M, 0.25, solvable_m)
     parts, _ = ndimage.label(is_clear)
     rng, cells = np.random.default_rng(0), np.argwhere(parts)
     part = parts[tuple(cells.T)]
@@ -127,7 +101,7 @@ def least_clearance(space: Space, found: Route) -> float:
 def measured(name: str, number: int, solvable_m: float) -> Row:
     """Return the row of a world."""
     space = solid_space(name, 0)
-    grid = perfect_map(space)
+    grid = true_map(space, CELL_M)
     distance = distance_field(grid, unknown_is_obstacle=True)
     roads = Roads.of(space)
     ratios, times, clearances, expansions, causes = [], [], [], [], []
