@@ -32,7 +32,15 @@ def start_of(world: str, seed: int) -> Array:
 
 @pytest.mark.parametrize(
     ("world", "seed"),
-    [("corridor", 0), ("warehouse", 1), ("forest", 2), ("office", 3), ("office-narrow", 0), ("hall", 1)],
+    [
+        ("corridor", 0),
+        ("warehouse", 1),
+        ("forest", 2),
+        ("office", 3),
+        ("office-narrow", 0),
+        ("office-glass", 0),
+        ("hall", 1),
+    ],
 )
 def test_goals_are_behind_obstacles_and_can_be_reached(world: str, seed: int) -> None:
     space, start = solid_space(world, seed), start_of(world, seed)
