@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-Stream = Literal["layout", "paint", "light", "images", "frames", "path", "imu", "wind", "faults"]
-"""The subsystems: layout, textures and other light of the world, image noise, frame times, path, IMU errors, gusts
-and faults."""
+Stream = Literal["layout", "paint", "light", "images", "frames", "path", "imu", "wind", "faults", "goal"]
+"""The subsystems: layout, textures and other light of the world, image noise, frame times, path, IMU errors, gusts,
+faults and the goal of an exploration."""
 
 _KEYS: dict[Stream, int] = {
     "layout": 10,
@@ -22,6 +22,7 @@ _KEYS: dict[Stream, int] = {
     "imu": 31,
     "wind": 32,
     "faults": 33,
+    "goal": 34,
 }
 
 

@@ -36,7 +36,7 @@ from dronevio.sim.worlds.lighting import drawn_layout
 from dronevio.sim.worlds.low_texture import LOW_TEXTURE
 from dronevio.sim.worlds.mirror import MIRROR
 from dronevio.sim.worlds.moving import MOVING
-from dronevio.sim.worlds.office import OFFICE, OFFICE_NARROW, OFFICE_WHITE
+from dronevio.sim.worlds.office import OFFICE, OFFICE_GLASS, OFFICE_NARROW, OFFICE_WHITE
 from dronevio.sim.worlds.repetitive import REPETITIVE
 from dronevio.sim.worlds.room import ROOM
 from dronevio.sim.worlds.warehouse import WAREHOUSE
@@ -56,6 +56,7 @@ WORLDS: dict[str, WorldBuilder] = {
     "office": OFFICE,
     "office-narrow": OFFICE_NARROW,
     "office-white": OFFICE_WHITE,
+    "office-glass": OFFICE_GLASS,
 }
 """Builders of all worlds by name."""
 

@@ -1,4 +1,7 @@
-"""The space that a vehicle needs: a flat cylinder around its centre, with margins for tracking and mapping errors."""
+"""The body of the drone for plans: an upright flat cylinder, and the room around it in horizontal slices of a map.
+
+A multirotor is wide and flat, and flies nearly level. A sphere around it would close doors under whose lintel it fits.
+"""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -14,38 +17,46 @@ from dronevio.models.ranges import Range, Settings
 
 @dataclass(frozen=True)
 class Body(Settings):
-    """Flat cylinder that must be free around the centre of mass.
+    """Upright cylinder around the centre of mass that must be free, with margins for errors of control and map.
 
-    The propellers of the research quadrotor reach 0.33 m from its axis, its feet 0.13 m below its centre. Cells whose
-    centres are within these bounds of the centre of the vehicle's cell are free, so that with cells of 10 cm the
-    nearest surface is at least half a cell and the vehicle's offset in its cell, 0.1 m together, closer.
+    The propellers of the research quadrotor reach 0.33 m from its axis, its feet 0.13 m below its centre. The cylinder
+    is measured between centres of cells: surface and vehicle may each be half a cell nearer.
     """
 
     radius_m: Annotated[float, Range(0.05, 5.0)] = 0.45
-    """Horizontal distance between centres of cells within which all is free [m]."""
+    """Radius [m]."""
     half_height_m: Annotated[float, Range(0.0, 5.0)] = 0.2
-    """Vertical distance between centres of cells within which all is free [m]."""
+    """Half the height [m]."""
 
 
-def horizontal_distance(grid: OccupancyGrid, is_blocked: Mask, body: Body) -> DistanceField:
-    """Return how far blocked cells are on each level, if a cell blocks the levels within half the body's height.
+def horizontal_distance(blocked: Mask, cell_m: float, half_height_m: float) -> Floats:
+    """Return the distances to the nearest blocked cell in the horizontal slice, for a body of some height.
+
+    Blocked cells are first dilated vertically by half the height, rounded up to whole cells. A cylinder around the
+    centre of a cell then touches no centre of a blocked cell if the distance exceeds its radius.
 
     Args:
-        grid: Grid that defines the cells.
-        is_blocked: (X, Y, Z) Cells where the body may not be; what lies outside the grid does not count.
-        body: The body.
+        blocked: (X, Y, Z) Where the body may not touch; nothing outside is blocked.
+        cell_m: Side of a cell [m].
+        half_height_m: Half the height of the body [m].
 
     Returns:
-        The horizontal distances between centres of cells [m], inf on a level that nothing blocks.
+        The distances (X, Y, Z) between centres of cells [m]: 0 in a dilated cell, inf in a slice without one.
     """
-    levels = int(body.half_height_m / grid.cell_m + 1e-6)
-    blocked = is_blocked.copy()
-    for shift in range(1, min(levels, is_blocked.shape[2] - 1) + 1):
-        blocked[..., shift:] |= is_blocked[..., :-shift]
-        blocked[..., :-shift] |= is_blocked[..., shift:]
-    clear: npt.NDArray[np.uint8] = np.ascontiguousarray(np.moveaxis(~blocked, 2, 0)).view(np.uint8)
-    distance: Floats = np.full(clear.shape, np.inf, np.float32)
-    for level in np.flatnonzero(~clear.all(axis=(1, 2))):
-        distance[level] = cv2.distanceTransform(clear[level], cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    distance *= np.float32(grid.cell_m)
-    return DistanceField(grid.low_m, grid.cell_m, np.ascontiguousarray(np.moveaxis(distance, 0, 2)), grid.frame)
+    slices = np.ascontiguousarray(np.moveaxis(blocked, 2, 0))
+    dilated = slices.copy()
+    for shift in range(1, min(int(np.ceil(half_height_m / cell_m - 1e-6)) + 1, len(slices))):
+        dilated[shift:] |= slices[:-shift]
+        dilated[:-shift] |= slices[shift:]
+    distance = np.full(slices.shape, np.inf, np.float32)
+    is_clear: npt.NDArray[np.uint8] = (~dilated).view(np.uint8)
+    for index in np.flatnonzero(dilated.any(axis=(1, 2))):
+        cv2.distanceTransform(is_clear[index], cv2.DIST_L2, cv2.DIST_MASK_PRECISE, dst=distance[index])
+    distance *= np.float32(cell_m)
+    return np.moveaxis(distance, 0, 2)
+
+
+def body_distance(grid: OccupancyGrid, blocked: Mask, body: Body) -> DistanceField:
+    """Return the field of `horizontal_distance` for the cells (X, Y, Z) of a grid that block a body."""
+    distance = np.ascontiguousarray(horizontal_distance(blocked, grid.cell_m, body.half_height_m))
+    return DistanceField(grid.low_m, grid.cell_m, distance, grid.frame)

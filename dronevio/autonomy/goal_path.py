@@ -9,7 +9,7 @@ assumption.
 
 import numpy as np
 
-from dronevio.autonomy.body import Body, horizontal_distance
+from dronevio.autonomy.body import Body, body_distance
 from dronevio.autonomy.route import NoRoute, Route, route
 from dronevio.models.arrays import Array
 from dronevio.models.occupancy import FREE, OCCUPIED, OccupancyGrid
@@ -50,7 +50,7 @@ def path_to_goal(
         cells = cells[np.all((cells >= 0) & (cells < states.shape), axis=1)]
         unseen = known.at(grid.centres(cells)) != FREE
         states[tuple(cells[unseen].T)] = OCCUPIED
-    distance = horizontal_distance(grid, states == OCCUPIED, body)
+    distance = body_distance(grid, states == OCCUPIED, body)
     # The body stays between the heights.
     distance.distance_m[..., :levels] = 0.0
     distance.distance_m[..., states.shape[2] - levels :] = 0.0

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from dronevio.autonomy.body import Body, horizontal_distance
+from dronevio.autonomy.body import Body, body_distance
 from dronevio.autonomy.corridor import Corridor, corridor_along
 from dronevio.autonomy.route import NoRoute, route
 from dronevio.autonomy.trajectory import CorridorTrajectory, corridor_trajectory
@@ -42,7 +42,7 @@ class LocalSpace:
         for axis in range(3):
             ends = np.moveaxis(blocked, axis, 0)
             ends[0] = ends[-1] = True
-        return cls(grid, horizontal_distance(grid, blocked, body))
+        return cls(grid, body_distance(grid, blocked, body))
 
     def is_clear(self, clearance_m: float) -> Mask:
         """Return the cells (X, Y, Z) with a clearance [m]."""

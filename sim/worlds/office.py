@@ -3,7 +3,7 @@
 Doors stand open, without leaves; two corridors end at a window. What stands and hangs in a room depends on its use.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -25,17 +25,35 @@ from dronevio.sim.props.building import (
     stand_along,
 )
 from dronevio.sim.props.furniture import WOODS, Piece, block, pick
+from dronevio.sim.props.glazing import glazing_frame, glazing_pane
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
-from dronevio.sim.worlds.office_plan import EAST, HIGH_M, LOW_M, WALL_M, WEST, WIDTH_M, Hallway, Plan, Room, drawn_plan
+from dronevio.sim.worlds.office_plan import (
+    EAST,
+    HIGH_M,
+    LOW_M,
+    WALL_M,
+    WEST,
+    WIDTH_M,
+    Hallway,
+    Plan,
+    Room,
+    along,
+    drawn_plan,
+)
 
 Random = np.random.Generator
 Makers = tuple[Callable[[Random], Piece], ...]
+Stretch = tuple[float, float]
+"""Begin and end along a wall [m]."""
+Glazing = dict[tuple[int, int], bool]
+"""The walls of glass by number of the room and side, and whether they are marked by stripes."""
 
 _WALL_PX_PER_M, _FLOOR_PX_PER_M, _CEILING_PX_PER_M, _THING_PX_PER_M = 128.0, 96.0, 80.0, 112.0
 _JAMB_M, _CASING_M, _HEAD_M = 0.06, 0.02, 2.1  # door frames: thickness, protrusion from the wall, clear height
 _PLAY_M = 2e-3  # by which doors are wider than stated, so that their middle keeps half their width of clearance
 _ASIDE_M = 0.16  # from the clear width of a door to what stands beside it
 _TILE_M = 0.5  # squares of carpet
+_PIER_M, _NARROWEST_M = 0.25, 0.6  # masonry at the ends of walls of glass, and the narrowest window
 _CORNER_M = 1.0  # of a wall where the things along the next one stand
 
 _WHITE: Colour = (208, 207, 203)
@@ -110,21 +128,26 @@ class _Paints:
     """Of the frames of doors."""
 
 
-def layout(rng: Random, door_m: float = 1.2, white: bool = False) -> Layout:
+def layout(rng: Random, door_m: float = 1.2, white: bool = False, glass: bool = False) -> Layout:
     """Draw an office.
 
     Args:
         rng: Draws the plan and what stands in it.
         door_m: Clear width of the doors [m]; the route enters rooms if it keeps its clearance in them.
         white: Whether all walls are white, without texture, and nothing hangs on those of the corridors.
+        glass: Whether half the walls between corridors and rooms are of glass, which is solid and not seen. Nothing
+            stands along them, and every second one has stripes.
     """
     plan = drawn_plan(rng)
     paints = _paints(rng, len(plan.rooms), white)
+    glazed = _drawn_glazing(rng, plan) if glass else {}
     pieces: list[Piece] = []
     obstacles: list[Box] = []
     first = int(rng.integers(len(_USES)))
     for number, room in enumerate(plan.rooms):
-        things, hulls = _furnished(rng, plan, room, _USES[(first + number) % len(_USES)], door_m)
+        things, hulls = _furnished(
+            rng, plan, room, _USES[(first + number) % len(_USES)], door_m, [side for k, side in glazed if k == number]
+        )
         pieces, obstacles = pieces + things, obstacles + hulls
     for stub in plan.stubs:
         end = stub.wall(stub.facades[0])
@@ -132,10 +155,10 @@ def layout(rng: Random, door_m: float = 1.2, white: bool = False) -> Layout:
             pieces.append(end.put(piece, x))
             obstacles.append(end.hull(piece, x))
     for hallway in () if white else plan.hallways:
-        things, hulls = _decorated(rng, plan, hallway, door_m)
+        things, hulls = _decorated(rng, plan, hallway, door_m, glazed)
         pieces, obstacles = pieces + things, obstacles + hulls
     pieces += [ceiling_lamp(np.array([*place, HIGH_M[2]]), size, 1.0) for place, size in plan.lamps]
-    walls = _walls(plan, paints, door_m)
+    walls, panes = _walls(plan, paints, door_m, glazed)
     boxes = coarse([box for piece in pieces for box in piece.boxes], _THING_PX_PER_M)
     return Layout(
         low=LOW_M.copy(),
@@ -148,6 +171,7 @@ def layout(rng: Random, door_m: float = 1.2, white: bool = False) -> Layout:
         free_box=np.stack([plan.pad - [0.5, 2.6, 0.0], plan.pad + [0.5, 2.6, 2.2]]),
         route=plan.route(door_m),
         shading=(*(box for box in walls if box.half.max() > 0.4), *shading(boxes)),
+        filling=panes,
     )
 
 
@@ -204,9 +228,19 @@ def _shell(plan: Plan, paints: _Paints) -> tuple[Face, ...]:
     return tuple(faces)
 
 
-def _walls(plan: Plan, paints: _Paints, door_m: float) -> tuple[Box, ...]:
-    """Return the walls between rooms and corridors, with the frames of their doors."""
+def _drawn_glazing(rng: Random, plan: Plan) -> Glazing:
+    """Draw which half of the walls between rooms and corridors are of glass, and mark every second one."""
+    walls = [
+        (number, part.side) for number, room in enumerate(plan.rooms) for part in room.partitions if part.back is None
+    ]
+    chosen = rng.permutation(len(walls))[: len(walls) // 2]
+    return {walls[which]: count % 2 == 1 for count, which in enumerate(chosen)}
+
+
+def _walls(plan: Plan, paints: _Paints, door_m: float, glazed: Glazing) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
+    """Return the walls between rooms and corridors with the frames of doors and panes, and the panes."""
     boxes: list[Box] = []
+    panes: list[Box] = []
     tall, hole_m, y = float(HIGH_M[2]), door_m + _PLAY_M + 2.0 * _JAMB_M, -0.5 * WALL_M
     for number, room in enumerate(plan.rooms):
         for part in room.partitions:
@@ -219,16 +253,38 @@ def _walls(plan: Plan, paints: _Paints, door_m: float) -> tuple[Box, ...]:
             doors = sorted(plan.openings(wall))
             ends = [-0.5 * wall.length_m - part.beyond_m[0], 0.5 * wall.length_m + part.beyond_m[1]]
             edges = [ends[0], *(x + s * 0.5 * hole_m for x in doors for s in (-1, 1)), ends[1]]
-            panels = [panel(0.5 * (a + b), 0.0, b - a, tall) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+            windows, stretches = _windows(
+                list(zip(edges[::2], edges[1::2], strict=True)), (number, part.side) in glazed
+            )
+            panels = [panel(0.5 * (a + b), 0.0, b - a, tall) for a, b in stretches]
             top = _HEAD_M + _JAMB_M
             back, front = (
                 partial(_upper_part, paint=paint, share=1.0 - top / tall) for paint in (back, paints.walls[number])
             )
-            panels += [block(x, y, top, hole_m, WALL_M, tall - top, back, front) for x in doors]
+            holes = [(x, hole_m) for x in doors] + [(0.5 * (a + b), b - a) for a, b in windows]
+            panels += [block(x, y, top, width, WALL_M, tall - top, back, front) for x, width in holes]
             frames = [_frame(paints.frames, door_m + _PLAY_M).moved(np.eye(3), np.array([x, y, 0.0])) for x in doors]
             pieces = [Piece(parts_of(instance, coarse(panels, _WALL_PX_PER_M)), 0.0, 0.0, 0.0), *frames]
+            for a, b in windows:
+                middle, is_marked = np.array([0.5 * (a + b), y, 0.0]), glazed[number, part.side]
+                pieces.append(glazing_frame(b - a, top, is_marked).moved(np.eye(3), middle))
+                panes += wall.put(glazing_pane(b - a, _HEAD_M).moved(np.eye(3), middle), 0.0).boxes
             boxes += [box for piece in pieces for box in wall.put(piece, 0.0).boxes]
-    return tuple(boxes)
+    return tuple(boxes), tuple(panes)
+
+
+def _windows(stretches: Sequence[Stretch], is_glazed: bool) -> tuple[list[Stretch], list[Stretch]]:
+    """Return the stretches of a wall between its doors that are of glass, and those of masonry [m]."""
+    windows: list[Stretch] = []
+    solid: list[Stretch] = []
+    for number, (a, b) in enumerate(stretches):
+        left, right = a + (_PIER_M if number == 0 else 0.0), b - (_PIER_M if number == len(stretches) - 1 else 0.0)
+        if is_glazed and right - left > _NARROWEST_M:
+            windows.append((left, right))
+            solid += [(c, d) for c, d in ((a, left), (right, b)) if d > c]
+        else:
+            solid.append((a, b))
+    return windows, solid
 
 
 def _upper_part(rng: Random, height: int, width: int, paint: Paint, share: float) -> Image:
@@ -244,11 +300,13 @@ def _frame(paint: Paint, clear_m: float) -> Piece:
     return Piece(coarse(boxes, _THING_PX_PER_M), wide, deep, _HEAD_M + _JAMB_M).as_instance("door_frame")
 
 
-def _furnished(rng: Random, plan: Plan, room: Room, use: Makers, door_m: float) -> tuple[list[Piece], list[Box]]:
+def _furnished(
+    rng: Random, plan: Plan, room: Room, use: Makers, door_m: float, glazed: list[int]
+) -> tuple[list[Piece], list[Box]]:
     """Return what stands and hangs along the walls of a room, and the boxes around what a drone could hit."""
     pieces: list[Piece] = []
     hulls: list[Box] = []
-    for side in range(4):
+    for side in (side for side in range(4) if side not in glazed):
         wall = room.wall(side)
         shift = int(rng.integers(len(use)))
         facade = side in room.facades
@@ -259,13 +317,19 @@ def _furnished(rng: Random, plan: Plan, room: Room, use: Makers, door_m: float) 
     return pieces, hulls
 
 
-def _decorated(rng: Random, plan: Plan, hallway: Hallway, door_m: float) -> tuple[list[Piece], list[Box]]:
+def _decorated(
+    rng: Random, plan: Plan, hallway: Hallway, door_m: float, glazed: Glazing
+) -> tuple[list[Piece], list[Box]]:
     """Return what stands and hangs along the wall of a corridor, which leaves its middle free."""
     wall = hallway.wall
     makers = [_HALLWAY[int(i)] for i in rng.permutation(len(_HALLWAY))]
     if hallway.facade:
         makers = [part for make in makers for part in (furniture.window, make)]
     ends = [(x, 0.5 * WIDTH_M + _ASIDE_M) for x in plan.stubs_along(wall)]
+    for number, side in glazed:
+        other = plan.rooms[number].wall(side)
+        place, reach_m = other.at(0.0, -0.5 * WALL_M, 0.0)[:2], 0.5 * other.length_m + WALL_M
+        ends += [(x, reach_m) for x in along(wall, place[None])]
     return stand_along(rng, wall, makers, [*_blocked(plan, wall, door_m), *ends], 0.3, (0.3, 1.2))
 
 
@@ -280,3 +344,5 @@ OFFICE_NARROW = WorldBuilder("the office with doors of 0.9 m", partial(layout, d
 """The office with narrow doors."""
 OFFICE_WHITE = WorldBuilder("the office with white walls without texture", partial(layout, white=True), "hard")
 """The office with white walls."""
+OFFICE_GLASS = WorldBuilder("the office with panes of glass between corridors and rooms", partial(layout, glass=True))
+"""The office with walls of glass."""

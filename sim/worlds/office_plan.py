@@ -137,14 +137,14 @@ class Plan:
         places = np.array(
             [[stub.middle[0], s * (OUTER_M + 0.5 * WALL_M)] for stub, s in zip(self.stubs, (-1, 1), strict=True)]
         )
-        return _along(wall, places)
+        return along(wall, places)
 
     def openings(self, wall: Wall) -> list[float]:
         """Return where the doorways in a wall, or behind it, are along it [m]."""
-        return _along(wall, self.doors)
+        return along(wall, self.doors)
 
 
-def _along(wall: Wall, places: Array) -> list[float]:
+def along(wall: Wall, places: Array) -> list[float]:
     """Return where those of the places (K, 2) are along a wall that are within its thickness [m]."""
     local = (places - wall.middle[:2]) @ rotation_z(wall.turn_rad)[:2, :2]
     near = (np.abs(local[:, 1]) < WALL_M) & (np.abs(local[:, 0]) < 0.5 * wall.length_m)

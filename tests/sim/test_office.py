@@ -5,10 +5,15 @@ import pytest
 from scipy.ndimage import label
 
 from dronevio.models.arrays import Array
+from dronevio.models.rotation import pose_matrix
+from dronevio.sim.appearance.instances import Instance
+from dronevio.sim.appearance.solids import Box
+from dronevio.sim.paths.space import Space
+from dronevio.sim.ray_casting import RayCaster
 from dronevio.sim.streams import generator
 from dronevio.sim.world import flight_area, solid_space
-from dronevio.sim.worlds.layout import ROUTE_CLEARANCE_M
-from dronevio.sim.worlds.office import OFFICE, OFFICE_WHITE
+from dronevio.sim.worlds.layout import ROUTE_CLEARANCE_M, Layout
+from dronevio.sim.worlds.office import OFFICE, OFFICE_GLASS, OFFICE_WHITE
 from dronevio.sim.worlds.office_plan import EAST, SOUTH, Plan, drawn_plan
 
 STEP_M = 0.1
@@ -32,7 +37,9 @@ def free_components(world: str, seed: int) -> tuple[Array, Array]:
     return space.low[:2], label(space.clearance(points) >= RADIUS_M)[0]
 
 
-@pytest.mark.parametrize(("world", "seed"), [("office", 0), ("office", 1), ("office", 2), ("office-narrow", 0)])
+@pytest.mark.parametrize(
+    ("world", "seed"), [("office", 0), ("office", 1), ("office", 2), ("office-narrow", 0), ("office-glass", 1)]
+)
 def test_a_drone_flies_from_each_room_to_each_other(world: str, seed: int) -> None:
     plan, (low, parts) = plan_of(seed), free_components(world, seed)
 
@@ -46,8 +53,9 @@ def test_a_drone_flies_from_each_room_to_each_other(world: str, seed: int) -> No
     assert all(part_at(door) == pad for door in plan.doors)
 
 
-def test_rooms_are_entered_by_doors_only() -> None:
-    plan, space = plan_of(3), solid_space("office", 3)
+@pytest.mark.parametrize("world", ["office", "office-glass"])
+def test_rooms_are_entered_by_doors_only(world: str) -> None:
+    plan, space = plan_of(3), solid_space(world, 3)
     for room in plan.rooms:
         for part in room.partitions:
             wall = room.wall(part.side)
@@ -61,7 +69,7 @@ def test_rooms_are_entered_by_doors_only() -> None:
             )
 
 
-@pytest.mark.parametrize(("world", "width_m"), [("office", 1.2), ("office-narrow", 0.9)])
+@pytest.mark.parametrize(("world", "width_m"), [("office", 1.2), ("office-narrow", 0.9), ("office-glass", 1.2)])
 def test_doors_have_their_width(world: str, width_m: float) -> None:
     middles = np.column_stack([plan_of(4).doors, np.full(len(plan_of(4).doors), 1.2)])
     np.testing.assert_allclose(2.0 * solid_space(world, 4).clearance(middles), width_m, atol=0.003)
@@ -106,3 +114,62 @@ def test_white_walls_stand_where_the_others_do() -> None:
     np.testing.assert_array_equal(places, in_white)
     contrast, white_contrast = (boxes[0].paint(np.random.default_rng(0), 200, 200)[..., 1].std() for boxes in walls)
     assert white_contrast < 2.0 < 5.0 < contrast
+
+
+def glass_of(seed: int) -> tuple[Layout, tuple[Box, ...]]:
+    """Return the layout of the office with walls of glass, and its panes."""
+    layout = OFFICE_GLASS.layout(generator(seed, "layout"))
+    assert {box.instance.kind for box in layout.filling} == {"glass"}
+    return layout, layout.filling
+
+
+def test_panes_are_solid_and_not_seen() -> None:
+    layout, panes = glass_of(0)
+    space, caster = solid_space("office-glass", 0), RayCaster("office-glass", 0)
+    assert "glass" not in {box.instance.kind for box in layout.boxes}
+    assert len(panes) > 6
+    for pane in panes:
+        np.testing.assert_allclose([pane.centre[2] - pane.half[2], pane.centre[2] + pane.half[2]], [0.0, 2.1])
+        along, across = pane.R[:, 0], pane.R[:, 1]
+        x = np.linspace(-0.95, 0.95, 60) * pane.half[0]
+        places = pane.centre + x[:, None] * along + [0.0, 0.0, 0.02]  # between the stripes
+        assert space.clearance(places).max() < 0.0
+        poses = [pose_matrix(np.eye(3), place - 0.1 * across) for place in places]
+        ranges = caster.ranges_m(np.array(poses), across[None])[:, 0]
+        assert np.median(ranges) > 0.5 and (ranges < 0.1).any()  # there are posts
+
+
+def test_half_of_the_walls_of_glass_have_stripes() -> None:
+    layout, _ = glass_of(2)
+    frames: dict[Instance, list[Box]] = {}
+    for box in layout.boxes:
+        if box.instance.kind == "glass_frame":
+            frames.setdefault(box.instance, []).append(box)
+    marked = [any(box.half[1] < 0.01 for box in boxes) for boxes in frames.values()]
+    assert 0.25 < np.mean(marked) < 0.75
+    heights = {round(float(box.centre[2]), 3) for boxes in frames.values() for box in boxes if box.half[1] < 0.01}
+    assert heights == {0.55, 1.4}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_hangs_on_glass(seed: int) -> None:
+    layout, panes = glass_of(seed)
+    around = Space(
+        layout.low - 100.0,
+        layout.high + 100.0,
+        np.array([pane.centre for pane in panes]),
+        np.array([pane.half for pane in panes]),
+        np.array([pane.R for pane in panes]),
+    )
+    hung = [box.centre for box in layout.boxes if box.instance.kind in ("hung_picture", "board", "posters", "window")]
+    assert len(hung) > 20
+    assert around.clearance(np.array(hung)).min() > 0.2
+
+
+def test_walls_of_glass_leave_the_plan() -> None:
+    painted, glass = (world.layout(generator(0, "layout")) for world in (OFFICE, OFFICE_GLASS))
+    doors = [[box.centre for box in layout.boxes if box.instance.kind == "door_frame"] for layout in (painted, glass)]
+    np.testing.assert_array_equal(doors[0], doors[1])
+    np.testing.assert_array_equal(painted.route, glass.route)
+    masonry = [sum(8.0 * b.half.prod() for b in x.boxes if b.instance.kind == "wall") for x in (painted, glass)]
+    assert 0.4 < masonry[1] / masonry[0] < 0.9

@@ -23,14 +23,23 @@ from dronevio.sim.world import WORLDS, collision_spec, flight_area, illumination
 
 @pytest.mark.parametrize(
     ("world", "seed"),
-    [("room", 0), ("corridor", 1), ("office", 1), ("mirror", 1), ("gates", 0), ("warehouse", 2), ("forest", 2)],
+    [
+        ("room", 0),
+        ("corridor", 1),
+        ("office", 1),
+        ("office-glass", 1),
+        ("mirror", 1),
+        ("gates", 0),
+        ("warehouse", 2),
+        ("forest", 2),
+    ],
 )
 def test_what_collides_is_what_is_seen(world: str, seed: int, script: Callable[[str], Any]) -> None:
     invisible, unsolid, *_ = script("collision_geometry").measured(world, seed, points=40, rays=32)
     assert invisible < 0.5 and unsolid < 0.5
 
 
-@pytest.mark.parametrize("world", ["room", "corridor", "forest", "repetitive", "gates", "office"])
+@pytest.mark.parametrize("world", ["room", "corridor", "forest", "repetitive", "gates", "office", "office-glass"])
 def test_free_boxes_and_routes_are_clear_of_the_solids(world: str) -> None:
     area, solids = flight_area(world, 1), solid_space(world, 1)
     low, high = area.free_box + [[0, 0, 0.02], [0, 0, 0]]

@@ -21,7 +21,10 @@ from dronevio.sim.worlds.assembly import space_of
 from dronevio.sim.worlds.layout import ROUTE_CLEARANCE_M, Layout
 
 SMALL = CameraModel(width=120, height=76, fx=62.0, fy=62.0, cx=59.5, cy=37.5)
-INDOORS = ("corridor", "warehouse", "low-texture", "repetitive", "dark", "mirror", "moving", "office", "office-white")
+INDOORS = (
+    *("corridor", "warehouse", "low-texture", "repetitive", "dark", "mirror", "moving"),
+    *("office", "office-white", "office-glass"),
+)
 R_DOWN = np.diag([1.0, -1.0, -1.0])  # a camera that looks down, the top of its image towards +y
 
 
