@@ -24,7 +24,9 @@ class Body(Settings):
     """
 
     radius_m: Annotated[float, Range(0.05, 5.0)] = 0.45
-    """Radius [m]."""
+    """Radius that keeps clear of surfaces [m]."""
+    bare_radius_m: Annotated[float, Range(0.05, 5.0)] = 0.35
+    """Radius without margins, which does not enter unknown space [m]."""
     half_height_m: Annotated[float, Range(0.0, 5.0)] = 0.2
     """Half the height [m]."""
 

@@ -52,6 +52,7 @@ _STOP_AFTER_NS = 300_000_000  # without depth
 _LAND_AFTER_NS = 1_000_000_000
 _ROUTE_NS = 1_000_000_000  # between two routes
 _STUCK_NS = 2_000_000_000  # without progress, after which unseen space on the route is given up
+_RETRIES = 2  # of what was given up, before the goal is unreachable
 _SINK_M = 0.05  # by which the descent ends below the ground
 
 
@@ -103,6 +104,7 @@ class Explorer:
         self.map_ms: list[float] = []
         self.route_map: Array | None = None
         self._given_up = np.zeros((0, 3))
+        self._retries = _RETRIES
         self._newest: Estimate | None = None
         self._depth_ns = 0
         self._plan_due_ns = 0

@@ -26,23 +26,28 @@ _NEIGHBOURS = np.ones((3, 3, 3), np.bool_)
 class LocalSpace:
     """Where the centre of the vehicle may be, by the local map.
 
-    Unknown cells are obstacles, but for gaps in free space that are one cell thick: the depth along edges is unknown
-    until an edge is seen from another side, and a thing that is hidden there is seen from 1.5 m away.
+    The body keeps its margin from surfaces, whose places have errors; it does not enter unknown space, but for gaps in
+    free space that are one cell thick: the depth along edges is unknown until an edge is seen from another side, and a
+    thing that is hidden there is seen from 1.5 m away.
     """
 
     grid: OccupancyGrid
     """The local map."""
     distance: DistanceField
-    """Horizontal distances to what is not known to be free."""
+    """Horizontal distances to surfaces, or to what is unknown if that is nearer less the margin of the body."""
 
     @classmethod
     def of(cls, grid: OccupancyGrid, body: Body) -> "LocalSpace":
         """Return the space for a body; nothing outside the grid is known."""
-        blocked = (grid.states == OCCUPIED) | _thick(grid.states == UNKNOWN)
+        unseen = _thick(grid.states == UNKNOWN)
         for axis in range(3):
-            ends = np.moveaxis(blocked, axis, 0)
+            ends = np.moveaxis(unseen, axis, 0)
             ends[0] = ends[-1] = True
-        return cls(grid, body_distance(grid, blocked, body))
+        to_surfaces = body_distance(grid, grid.states == OCCUPIED, body).distance_m
+        to_unseen = body_distance(grid, unseen, body).distance_m
+        to_unseen += np.where(to_unseen > 0.0, np.float32(body.radius_m - body.bare_radius_m), np.float32(0.0))
+        distance = DistanceField(grid.low_m, grid.cell_m, np.minimum(to_surfaces, to_unseen), grid.frame)
+        return cls(grid, distance)
 
     def is_clear(self, clearance_m: float) -> Mask:
         """Return the cells (X, Y, Z) with a clearance [m]."""
