@@ -445,10 +445,10 @@ plt.show()
 
 # %% [markdown]
 # Above is the loop: after RANSAC, the lines connect the same things, and run
-# nearly parallel. Below is the most similar of the false candidates. Its words
-# are the same, its corners are similar, but no motion explains more than a few
-# of its matches. Two always agree, because they determine the pose, and one or
-# two more may agree by chance.
+# nearly parallel. Below is the most similar of the false candidates. Both
+# images show things of the same kinds, and some corners look alike, but no
+# motion explains more than a few of its matches. Two always agree, because they
+# determine the pose, and one or two more may agree by chance.
 
 # %% jupyter={"source_hidden": true}
 # Figure: similarity and number of agreeing matches of all best candidates
@@ -633,9 +633,9 @@ for ax, poses, colour, name in (
     draw_path(ax, poses, colour, name)
     x, y = in_world(poses)[[false_i, false_j], :2, 3].T
     ax.plot(x, y, "o--", color="#0072b2", label="the wrong loop")
-    ax.autoscale()
     ax.set_title(f"{name}: ATE {ate_m(poses):.3f} m", fontsize=9)
     ax.legend(fontsize="small", loc="center")
+axes[0].autoscale()
 plt.show()
 
 # %% [markdown]
@@ -704,13 +704,13 @@ ax.legend(fontsize="small")
 plt.show()
 
 # %% [markdown]
-# The dashed line is the time of the loop. The online path is that of the
-# odometry until the loop is closed, a few seconds later: a keyframe first has to
-# leave the window of the odometry. Then the path jumps. What is left of the
-# error is a shift of the whole map: nothing measures where the map is, and after
-# an optimization it is put where its keyframes are nearest to the poses that
-# were published before (`dronevio.estimator.slam.map.map_frame`), so that its
-# start has moved, too.
+# The first of its loops is the one by hand, at the dashed line. The online path
+# is that of the odometry until the loop is closed, a few seconds later: a
+# keyframe first has to leave the window of the odometry. Then the path jumps.
+# What is left of the error is a shift of the whole map: nothing measures where
+# the map is, and after an optimization it is put where its keyframes are
+# nearest to the poses that were published before
+# (`dronevio.estimator.slam.map.map_frame`), so that its start has moved, too.
 #
 # The ATE of the online path does not profit, since the lap is over, and what
 # has been published is not taken back. The keyframes of the lap are corrected,
