@@ -36,7 +36,7 @@ class Motion:
         """Return a trajectory with a turn, from a time on [ns]; it ends when both have ended."""
         interval_s = interval_ns * 1e-9
         duration_s = max(trajectory.duration_s, turn.duration_s)
-        t = np.arange(-1, int(np.ceil(duration_s / interval_s)) + 2) * interval_s
+        t = np.asarray(np.arange(-1, int(np.ceil(duration_s / interval_s)) + 2) * interval_s, np.float64)
         states = _states(trajectory, t)
         yaw, yaw_rate = turn.at(t)
         # Angular rates of the flat attitude by central differences, for which the motion is extended by an interval.

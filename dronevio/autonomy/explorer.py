@@ -1,14 +1,14 @@
 """Flights to a goal through unknown space: a pilot that maps, plans and decides while it flies.
 
-The frames: the *world* is that of the simulator, in which the pad and the goal are given; the *odometry* frame is
-continuous, and trajectories are planned in it; the *map* frame is corrected by loops, and holds goal and route. At the
-start, map and odometry frame are the same. A correction moves goal and route in the odometry frame; the trajectory that
-is flown stays until the next plan.
+The frames: the *world* is that of the simulator, in which pad and goal are given; the *odometry* frame is continuous,
+and trajectories are planned in it; the *map* frame is corrected by loops, and holds goal and route. At the start, map
+and odometry frame are the same. A correction moves goal and route in the odometry frame; the trajectory that is flown
+stays until the next plan.
 """
 
 import time
-from dataclasses import dataclass, replace
-from math import atan2, hypot, pi, radians
+from dataclasses import dataclass, field, replace
+from math import atan2, hypot, pi, radians, remainder
 from typing import Literal
 
 import numpy as np
@@ -16,18 +16,18 @@ import numpy as np
 from dronevio.autonomy.decided_course import DecidedCourse, Motion
 from dronevio.autonomy.goal_path import path_to_goal
 from dronevio.autonomy.heading import Turn
-from dronevio.autonomy.local_plan import LocalSpace, sampled, slowed, stop, straight, trajectory_along
+from dronevio.autonomy.known_space import LocalSpace, around, with_free_column
+from dronevio.autonomy.local_plan import at_rest, braking, sampled, slowed, stop, straight, trajectory_along
 from dronevio.autonomy.route import NoRoute
 from dronevio.autonomy.settings import ExploreSettings
 from dronevio.autonomy.trajectory import CorridorTrajectory
-from dronevio.estimator.mapping.config import DenseMapConfig
 from dronevio.estimator.mapping.dense_mapper import DenseMapper
 from dronevio.estimator.mapping.depth_source import DepthSource, depth_source
 from dronevio.estimator.threads import single_threaded
 from dronevio.models.arrays import Array
 from dronevio.models.depth import DepthImage
 from dronevio.models.imu import ImuSamples
-from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from dronevio.models.occupancy import OCCUPIED, UNKNOWN, OccupancyGrid
 from dronevio.models.protocols import Controller
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rotation import inverse_pose, yaw_rad_from_matrix
@@ -42,51 +42,120 @@ Outcome = Literal["reached", "covered", "unreachable", "lost", "collision", "tim
 """How a flight ends."""
 
 _CLIMB_M_S = 0.8
-_LOOK_FROM_M, _LOOK_ABOVE_M = 0.5, 0.3  # heights of the turns after the take-off, above the ground and the hover
+_DESCENT_M_S = 0.5
+_LOOK_FROM_M, _LOOK_ABOVE_M = 0.5, 0.3  # heights of the turns after the take-off, above the stand and the hover
 _YAW_ACCEL_RAD_S2 = 3.0
 _AHEAD_M = 1.5  # along the route, where the vehicle looks
 _ASKEW_RAD = radians(50.0)  # between heading and route, from where on the vehicle turns before it flies
 _SLOW_M_S = 0.5  # while it turns
+_STILL_M_S = 0.1
 _NEAR_M = 0.25  # from the goal, where it is reached
-_STOP_AFTER_NS = 300_000_000  # without depth
-_LAND_AFTER_NS = 1_000_000_000
+_LEAST_STEP_M = 0.15  # of a plan that is worth to be flown
+_STOP_AFTER_NS, _LAND_AFTER_NS = 300_000_000, 1_000_000_000  # without depth
 _ROUTE_NS = 1_000_000_000  # between two routes
 _STUCK_NS = 2_000_000_000  # without progress, after which unseen space on the route is given up
 _RETRIES = 2  # of what was given up, before the goal is unreachable
 _SINK_M = 0.05  # by which the descent ends below the ground
+_EARLY_NS = 1_000_000  # by which a plan may be made before it is due, for time stamps that jitter
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Decision:
-    """What was decided, for people."""
+    """A decision of the pilot, for people."""
 
     t_ns: int
     """Time on the clock of the course [ns]."""
     what: str
-    """Text."""
+    """What was decided, and why."""
+    position_m: tuple[float, float, float]
+    """Where the vehicle was to be in the world [m]."""
 
 
-class TimedDepth:
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A trajectory that was flown for a while, and the route that it follows."""
+
+    t_ns: int
+    """Time from which it was flown, on the clock of the course [ns]."""
+    positions_m: Array
+    """(N, 3) Positions in the world at equal intervals of a tenth of a second or less, to its end at rest [m]."""
+    route_m: Array
+    """(M, 3) Route to the goal in the world as it was then placed [m]."""
+
+
+@dataclass
+class StageTimes:
+    """Processor times of the stages [ms], beside which the latencies of the settings are declared."""
+
+    depth: list[float] = field(default_factory=list)
+    """Of each depth image."""
+    map: list[float] = field(default_factory=list)
+    """Of each entry in the map."""
+    plan: list[float] = field(default_factory=list)
+    """Of each plan."""
+
+
+class _TimedDepth:
     """A source of depth images with the processor time of each; implements `DepthSource`."""
 
-    def __init__(self, source: DepthSource) -> None:
-        """Take a source."""
-        self._source = source
-        self.cpu_ms: list[float] = []
+    def __init__(self, source: DepthSource, times_ms: list[float]) -> None:
+        self._source, self._times_ms = source, times_ms
 
     def depth(self, frame: CameraFrame, estimate: Estimate) -> DepthImage | None:
         """Return the depth image that is known with a frame; None if there is none."""
         began = time.process_time()
         depth = self._source.depth(frame, estimate)
-        self.cpu_ms.append(1e3 * (time.process_time() - began))
+        self._times_ms.append(1e3 * (time.process_time() - began))
         return depth
+
+
+@dataclass(frozen=True, eq=False)
+class _Moment:
+    """What is known when a plan is made, in the odometry frame unless another is named."""
+
+    now_ns: int
+    """Time of the plan on the clock of the course [ns]."""
+    begins_ns: int
+    """Time from which it will be flown [ns]."""
+    start: Array
+    """(4, 3) State at that time, as decided so far [m, s]."""
+    yaw_rad: float
+    """Heading at that time in the world [rad]."""
+    yaw_rate_rad_s: float
+    """Its rate [rad/s]."""
+    grid: OccupancyGrid | None
+    """The local map."""
+    T_world_odom: Array
+    """(4, 4) Pose of the odometry frame in the world."""
+    T_map_odom: Array
+    """(4, 4) Its pose in the map frame."""
+    estimate: Estimate
+    """The newest estimate."""
+
+    @property
+    def speed_m_s(self) -> float:
+        """Speed at the start [m/s]."""
+        return float(np.linalg.norm(self.start[1]))
+
+    def from_world(self, points: Array) -> Array:
+        """Return points (…, 3) of the world in the odometry frame."""
+        return moved(inverse_pose(self.T_world_odom), points)
+
+
+def moved(T_a_b: Array, points: Array) -> Array:
+    """Return points (…, 3) of frame b in frame a."""
+    return np.asarray(points @ T_a_b[:3, :3].T + T_a_b[:3, 3])
 
 
 class Explorer:
     """Flies to a goal through unknown space; implements `dronevio.sim.closed_loop.flight.Pilot`."""
 
     def __init__(
-        self, goal: Array, longest_s: float, settings: ExploreSettings | None = None, source: DepthSource | None = None
+        self,
+        goal: Array,
+        longest_s: float,
+        settings: ExploreSettings | None = None,
+        source: DepthSource | None = None,
     ) -> None:
         """Define a flight.
 
@@ -96,49 +165,55 @@ class Explorer:
             settings: Settings.
             source: Source of depth images; by default from the images of the rig.
         """
-        self._source = source
-        self._goal, self._longest_s, self._settings = goal, longest_s, settings or ExploreSettings()
+        self._goal, self._longest_s, self._source = goal, longest_s, source
+        self._settings = settings or ExploreSettings()
         self.outcome: Outcome | None = None
         self.decisions: list[Decision] = []
-        self.plan_ms: list[float] = []
-        self.map_ms: list[float] = []
-        self.route_map: Array | None = None
+        self.plans: list[Plan] = []
+        self.times = StageTimes()
+        self.T_world_odom: Array | None = None
+        self._route_map: Array | None = None
         self._given_up = np.zeros((0, 3))
         self._retries = _RETRIES
-        self._newest: Estimate | None = None
         self._depth_ns = 0
-        self._plan_due_ns = 0
-        self._route_due_ns = 0
-        self._progress_ns = 0
+        self._plan_due_ns = self._route_due_ns = self._progress_ns = 0
         self._ends_ns: int | None = None
-        self._going = "goal"
+        self._is_going_home = False
 
     @property
     def finished(self) -> bool:
         """Whether the flight has ended."""
         return self._ends_ns is not None and self._course.now_ns >= self._ends_ns
 
+    @property
+    def mapper(self) -> DenseMapper:
+        """The map; it exists from the start of the flight on."""
+        return self._mapper
+
+    @property
+    def departs_ns(self) -> int:
+        """Time at which take-off and turns end and the first plan is due, on the clock of the course [ns]."""
+        return self._departs_ns
+
     def course(self, scenario: Scenario, plant: QuadrotorPlant) -> Course:
-        """Return the course, which begins with the take-off and a turn."""
+        """Return the course, which begins with the take-off and two turns."""
         c = self._settings
-        pad = flight_area(scenario.world, scenario.seed_of_world).pad
-        self._stand = pad + [0.0, 0.0, plant.standing_height_m]
-        hover = self._stand + [0.0, 0.0, c.height_m]
+        self._mapper = DenseMapper(
+            scenario.rig, c.map, _TimedDepth(self._source or depth_source(scenario.rig), self.times.depth)
+        )
+        self._stand = flight_area(scenario.world, scenario.seed_of_world).pad + [0.0, 0.0, plant.standing_height_m]
+        self._hover = self._stand + [0.0, 0.0, c.height_m]
         self._course = course = DecidedCourse(self._stand, 0.0, plant.interval_ns, round(self._longest_s * 1e9))
-        self._depth = TimedDepth(self._source or depth_source(scenario.rig))
-        self._mapper = DenseMapper(scenario.rig, DenseMapConfig(), self._depth)
         begins_ns = round(scenario.plan.initial_rest_s * 1e9) // plant.interval_ns * plant.interval_ns
         # Climb, turn while rising and again while sinking: near space is seen from several heights.
-        low, high = self._stand + [0.0, 0.0, _LOOK_FROM_M], hover + [0.0, 0.0, _LOOK_ABOVE_M]
+        low, high = self._stand + [0.0, 0.0, _LOOK_FROM_M], self._hover + [0.0, 0.0, _LOOK_ABOVE_M]
         yaw = 0.0
-        for start, end, is_turn in ((self._stand, low, False), (low, high, True), (high, hover, True)):
-            turn = Turn(yaw, 0.0, 2.0 * pi if is_turn else 0.0, c.limits.yaw_rate_rad_s, _YAW_ACCEL_RAD_S2)
-            trajectory = straight(start, end, _CLIMB_M_S)
-            if is_turn:
-                trajectory = slowed(trajectory, turn.duration_s)
+        for start, end, angle in ((self._stand, low, 0.0), (low, high, 2.0 * pi), (high, self._hover, 2.0 * pi)):
+            turn = Turn(yaw, 0.0, angle, c.limits.yaw_rate_rad_s, _YAW_ACCEL_RAD_S2)
+            trajectory = slowed(straight(start, end, _CLIMB_M_S), turn.duration_s)
             course.follow(Motion.of(trajectory, turn, max(begins_ns, course.decided_until_ns), plant.interval_ns))
-            yaw += turn.angle_rad
-        self._plan_due_ns = course.decided_until_ns
+            yaw += angle
+        self._plan_due_ns = self._departs_ns = course.decided_until_ns
         return course
 
     def controller(self, course: Course, T_vehicle_imu: Array, quadrotor: Quadrotor) -> Controller:
@@ -150,229 +225,203 @@ class Explorer:
 
     def add_frame(self, frame: CameraFrame, estimate: Estimate, T_world_odom: Array | None) -> None:
         """Map a frame, and decide what is flown next."""
-        now_ns = self._course.now_ns
         if T_world_odom is None:
             return
-        before, began = len(self._depth.cpu_ms), time.process_time()
+        now_ns, before, began = self._course.now_ns, len(self.times.depth), time.process_time()
         with single_threaded():
             depth = self._mapper.add_frame(frame, estimate)
         if depth is not None:
             self._depth_ns = now_ns
-            self.map_ms.append(1e3 * (time.process_time() - began) - sum(self._depth.cpu_ms[before:]))
-        self._newest = estimate
-        if self._ends_ns is None and now_ns >= self._plan_due_ns:
+            self.times.map.append(1e3 * (time.process_time() - began) - sum(self.times.depth[before:]))
+        self.T_world_odom = T_world_odom
+        if self._ends_ns is None and now_ns >= self._plan_due_ns - _EARLY_NS:
             began = time.process_time()
-            self._decide(now_ns, estimate, T_world_odom)
-            self.plan_ms.append(1e3 * (time.process_time() - began))
-            self._plan_due_ns = now_ns + round(1e9 / self._settings.plan_rate_hz) - 1_000_000
+            with single_threaded():
+                self._decide(self._moment(now_ns, estimate, T_world_odom))
+            self.times.plan.append(1e3 * (time.process_time() - began))
+            self._plan_due_ns = now_ns + round(1e9 / self._settings.plan_rate_hz)
+
+    def _moment(self, now_ns: int, estimate: Estimate, T_world_odom: Array) -> _Moment:
+        """Return what is known now."""
+        c, course = self._settings, self._course
+        begins_ns = now_ns + round(c.latency_s * 1e9) // course.interval_ns * course.interval_ns
+        state_world, yaw, yaw_rate = course.planned(begins_ns)
+        T_odom_world = inverse_pose(T_world_odom)
+        start = state_world @ T_odom_world[:3, :3].T
+        start[0] += T_odom_world[:3, 3]
+        grid = self._mapper.local_map
+        if grid is not None:
+            grid = self._with_pad(grid, T_odom_world)
+        T_map_odom = np.eye(4) if estimate.T_map_odom is None else estimate.T_map_odom
+        return _Moment(now_ns, begins_ns, start, yaw, yaw_rate, grid, T_world_odom, T_map_odom, estimate)
+
+    def _with_pad(self, grid: OccupancyGrid, T_grid_world: Array) -> OccupancyGrid:
+        """Return a grid in which what is unknown above the pad is free."""
+        c = self._settings
+        top_m = c.height_m + _LOOK_ABOVE_M + c.body.half_height_m + 0.1
+        return with_free_column(grid, moved(T_grid_world, self._stand), c.pad_radius_m, top_m)
+
+    def _decide(self, m: _Moment) -> None:
+        """Decide what is flown from the beginning of a plan on."""
+        c = self._settings
+        # Without a valid estimate, brake and land; without depth, stop, and land if it does not come back.
+        is_lost = m.estimate.health in (Health.LOST, Health.INITIALIZING) or m.estimate.track != 0
+        without_ns = m.now_ns - self._depth_ns
+        if is_lost or m.grid is None or without_ns > _LAND_AFTER_NS:
+            self._brake_and_land(m, "the estimate is lost" if is_lost else "no depth")
+            return
+        space = LocalSpace.of(m.grid, c.body)
+        if without_ns > _STOP_AFTER_NS:
+            self._say("no depth: stop")
+            self._follow(m, stop(space, m.start, c.body, c.limits), self._turn(m, None))
+            return
+        # The goal or, on the way home, the hover above the pad.
+        goal = m.from_world(self._target)  # the map frame is the odometry frame of the start
+        goal_odom = moved(inverse_pose(m.T_map_odom), goal)
+        if np.linalg.norm(m.start[0] - goal_odom) < _NEAR_M and m.speed_m_s < _STILL_M_S:
+            self._arrive(m)
+            return
+        path = self._path(m, goal)
+        if path is None:
+            self._turn_back(m)
+            self._follow(m, stop(space, m.start, c.body, c.limits), self._turn(m, None))
+            return
+        self._fly_along(m, space, sampled(path, m.start[0], c.horizon_m))
+
+    @property
+    def _target(self) -> Array:
+        """(3,) Where the flight leads, in the world [m]."""
+        return self._hover if self._is_going_home else self._goal
+
+    def _fly_along(self, m: _Moment, space: LocalSpace, ahead: Array) -> None:
+        """Fly along a path (N, 3) as far as it is known to be free, after a turn toward it."""
+        c = self._settings
+        look = ahead[min(round(_AHEAD_M / 0.1), len(ahead) - 1)] - m.start[0]
+        toward = atan2(look[1], look[0]) if hypot(look[0], look[1]) > 0.3 else None
+        turn = self._turn(m, toward)
+        is_askew = toward is not None and abs(remainder(turn.yaw_rad + turn.angle_rad - m.yaw_rad, 2 * pi)) > _ASKEW_RAD
+        if is_askew and m.speed_m_s < _STILL_M_S:
+            self._say("turn")
+            self._follow(m, at_rest(m.start[0]), turn)
+            self._progress_ns = m.now_ns
+            return
+        limits = replace(c.limits, speed_m_s=max(_SLOW_M_S, 0.8 * m.speed_m_s)) if is_askew else c.limits
+        trajectory = trajectory_along(space, ahead, m.start, c.body, limits)
+        if trajectory is not None and np.linalg.norm(trajectory.control_points[-1, -1] - m.start[0]) > _LEAST_STEP_M:
+            self._say("fly home" if self._is_going_home else "fly")
+            self._progress_ns = m.now_ns
+            self._follow(m, trajectory, turn)
+            return
+        # Without a new trajectory: fly on if the last one is still free, otherwise stop.
+        rest = m.from_world(self._course.positions_from(m.begins_ns))[::10]
+        if m.speed_m_s > 0.5 * _STILL_M_S and np.any(space.clearances(rest) < c.body.radius_m - space.grid.cell_m):
+            self._say("the trajectory is blocked: stop")
+            self._follow(m, stop(space, m.start, c.body, c.limits), turn)
+        elif m.speed_m_s < _STILL_M_S:
+            self._say("look")
+            self._follow(m, at_rest(m.start[0]), turn)
+            if m.now_ns - self._progress_ns > _STUCK_NS:
+                self._give_up(m, ahead)
+
+    def _path(self, m: _Moment, goal: Array) -> Array | None:
+        """Return the path to a goal (3,) of the map in the odometry frame; None if it is unreachable.
+
+        It is sought anew once a second, and when the local map has an obstacle on it.
+        """
+        assert m.grid is not None
+        T_odom_map = inverse_pose(m.T_map_odom)
+        path = None if self._route_map is None else moved(T_odom_map, self._route_map)
+        if path is None or m.now_ns >= self._route_due_ns or np.any(m.grid.at(sampled(path, path[0])) == OCCUPIED):
+            path_map = self._sought(m, goal)
+            path = None if path_map is None else moved(T_odom_map, path_map)
+            self._route_map, self._route_due_ns = path_map, m.now_ns + _ROUTE_NS
+        return path
+
+    def _sought(self, m: _Moment, goal: Array) -> Array | None:
+        """Return a path in the map to a goal (3,), through all that was not seen to be occupied; None without one."""
+        known, c = self._mapper.fused(), self._settings
+        if known is None:
+            return None
+        known = self._with_pad(known, inverse_pose(m.T_world_odom))
+        ground_m = float(m.from_world(self._stand)[2])
+        heights_m, start = (ground_m + c.lowest_m, ground_m + c.highest_m), moved(m.T_map_odom, m.start[0])
+        found = path_to_goal(known, start, goal, c.body, heights_m, self._given_up)
+        if isinstance(found, NoRoute) and len(self._given_up) and self._retries:
+            self._say("no route: try again what was given up")
+            self._given_up, self._retries = self._given_up[:0], self._retries - 1
+            found = path_to_goal(known, start, goal, c.body, heights_m, self._given_up)
+        if isinstance(found, NoRoute):
+            self._say(f"no route: {found.reason}")
+            return None
+        return found.waypoints
+
+    def _give_up(self, m: _Moment, ahead: Array) -> None:
+        """Take what is unknown around the next part of a path as occupied, since it cannot be seen from here."""
+        assert m.grid is not None
+        points = around(ahead[:10], self._settings.body, m.grid.cell_m)
+        unseen = np.unique(m.grid.cells(points[m.grid.at(points) == UNKNOWN]), axis=0)
+        self._say(f"give up {len(unseen)} cells of the route, which cannot be seen")
+        self._given_up = np.concatenate([self._given_up, moved(m.T_map_odom, m.grid.centres(unseen))])
+        self._route_due_ns, self._progress_ns = m.now_ns, m.now_ns
+
+    def _arrive(self, m: _Moment) -> None:
+        """End the flight at the goal, or land at home."""
+        if self._is_going_home:
+            self._land(m, "home: land")
+        else:
+            self._say("reached")
+            self.outcome, self._ends_ns = "reached", m.begins_ns
+
+    def _turn_back(self, m: _Moment) -> None:
+        """Go home, since there is no way to the goal; land if there is none home."""
+        if self._is_going_home:
+            self._land(m, "no way home: land")
+        else:
+            self._say("unreachable: return home")
+            self.outcome, self._is_going_home, self._route_map = "unreachable", True, None
+
+    def _brake_and_land(self, m: _Moment, why: str) -> None:
+        """Stop, then land."""
+        c = self._settings
+        if m.speed_m_s > 0.5 * _STILL_M_S:
+            self._say(f"{why}: brake")
+            space = None if m.grid is None else LocalSpace.of(m.grid, c.body)
+            trajectory = braking(m.start, c.limits) if space is None else stop(space, m.start, c.body, c.limits)
+            self._follow(m, trajectory, self._turn(m, None))
+        else:
+            self._land(m, f"{why}: land")
+            self.outcome = "lost"
+
+    def _land(self, m: _Moment, why: str) -> None:
+        """Descend and stop the rotors."""
+        self._say(why)
+        course, above = self._course, moved(m.T_world_odom, m.start[0])
+        down = straight(above, np.append(above[:2], self._stand[2] - _SINK_M), _DESCENT_M_S)
+        course.follow(Motion.of(down, self._turn(m, None), m.begins_ns, course.interval_ns))
+        course.stop_rotors(course.decided_until_ns)
+        self._ends_ns = course.decided_until_ns + 300_000_000
+
+    def _turn(self, m: _Moment, toward_rad: float | None) -> Turn:
+        """Return the turn toward a heading in the odometry frame, or to rest."""
+        limits = self._settings.limits.yaw_rate_rad_s, _YAW_ACCEL_RAD_S2
+        if toward_rad is None:
+            angle = 0.5 * m.yaw_rate_rad_s * abs(m.yaw_rate_rad_s) / _YAW_ACCEL_RAD_S2
+            return Turn(m.yaw_rad, m.yaw_rate_rad_s, angle, *limits)
+        toward_rad += yaw_rad_from_matrix(m.T_world_odom[:3, :3])
+        return Turn.toward(m.yaw_rad, m.yaw_rate_rad_s, toward_rad, *limits)
+
+    def _follow(self, m: _Moment, trajectory: CorridorTrajectory, turn: Turn) -> None:
+        """Follow a trajectory of the odometry frame."""
+        course = self._course
+        in_world = replace(trajectory, control_points=moved(m.T_world_odom, trajectory.control_points))
+        motion = Motion.of(in_world, turn, m.begins_ns, course.interval_ns)
+        course.follow(motion)
+        path = np.zeros((0, 3)) if self._route_map is None else moved(inverse_pose(m.T_map_odom), self._route_map)
+        every = max(round(1e8 / course.interval_ns), 1)
+        self.plans.append(Plan(m.begins_ns, motion.states[::every, 0], moved(m.T_world_odom, path)))
 
     def _say(self, what: str) -> None:
         """Record a decision, unless it is the last one again."""
         if not self.decisions or self.decisions[-1].what != what:
-            self.decisions.append(Decision(self._course.now_ns, what))
-
-    def _decide(self, now_ns: int, estimate: Estimate, T_world_odom: Array) -> None:
-        """Decide what is flown from the latency of a plan on."""
-        c, course = self._settings, self._course
-        begins_ns = now_ns + round(c.latency_s * 1e9) // course.interval_ns * course.interval_ns
-        start_world, yaw, yaw_rate = course.planned(begins_ns)
-        R = T_world_odom[:3, :3]
-        T_odom_world = inverse_pose(T_world_odom)
-        start = start_world @ R
-        start[0] = T_odom_world[:3, :3] @ start_world[0] + T_odom_world[:3, 3]
-        yaw_odom = yaw_rad_from_matrix(T_world_odom[:3, :3])
-        without_ns = now_ns - self._depth_ns
-        grid = self._local_grid(T_odom_world)
-
-        def follow(trajectory: CorridorTrajectory, turn: Turn) -> None:
-            points = trajectory.control_points @ R.T + T_world_odom[:3, 3]
-            course.follow(Motion.of(replace(trajectory, control_points=points), turn, begins_ns, course.interval_ns))
-
-        def turned(toward: float | None) -> Turn:
-            if toward is None:
-                return Turn(
-                    yaw,
-                    yaw_rate,
-                    0.5 * yaw_rate * abs(yaw_rate) / _YAW_ACCEL_RAD_S2,
-                    c.limits.yaw_rate_rad_s,
-                    _YAW_ACCEL_RAD_S2,
-                )
-            return Turn.toward(yaw, yaw_rate, toward + yaw_odom, c.limits.yaw_rate_rad_s, _YAW_ACCEL_RAD_S2)
-
-        # Without a valid estimate or depth: brake, then land.
-        is_lost = estimate.health in (Health.LOST, Health.INITIALIZING) or estimate.track != 0 or grid is None
-        if is_lost or without_ns > _LAND_AFTER_NS:
-            if np.linalg.norm(start[1]) > 0.05:
-                self._say("lost: brake" if is_lost else "no depth: brake")
-                space = None if grid is None else LocalSpace.of(grid, c.body)
-                follow(stop(space, start, c.body, c.limits) if space is not None else _brake(start, c), turned(None))
-            else:
-                self._say("lost: land" if is_lost else "no depth: land")
-                self._land(start_world[0], yaw, begins_ns)
-                self.outcome = "lost"
-            return
-        assert grid is not None
-        space = LocalSpace.of(grid, c.body)
-        if without_ns > _STOP_AFTER_NS:
-            self._say("no depth: stop")
-            follow(stop(space, start, c.body, c.limits), turned(None))
-            return
-        # The goal or, on the way home, the hover above the pad.
-        T_map_odom = np.eye(4) if estimate.T_map_odom is None else estimate.T_map_odom
-        home = T_odom_world[:3, :3] @ (self._stand + [0.0, 0.0, c.height_m]) + T_odom_world[:3, 3]
-        goal = home if self._going == "home" else T_odom_world[:3, :3] @ self._goal + T_odom_world[:3, 3]
-        T_odom_map = inverse_pose(T_map_odom)
-        goal_odom = T_odom_map[:3, :3] @ goal + T_odom_map[:3, 3]
-        state = estimate.state
-        assert state is not None
-        speed = float(np.linalg.norm(start[1]))
-        if np.linalg.norm(start[0] - goal_odom) < _NEAR_M and speed < 0.1:
-            if self._going == "goal":
-                self._say("reached")
-                self.outcome, self._ends_ns = "reached", begins_ns
-            else:
-                self._say("home: land")
-                self._land(start_world[0], yaw, begins_ns)
-            return
-        # The route through the map, now and then and when it is blocked.
-        path = self._route(now_ns, grid, start[0], goal, T_map_odom, T_odom_map, c)
-        if path is None:
-            if self._going == "home":
-                self._say("no way home: land")
-                self._land(start_world[0], yaw, begins_ns)
-            else:
-                self._say("unreachable: return home")
-                self.outcome, self._going, self._route_due_ns = "unreachable", "home", 0
-            follow(stop(space, start, c.body, c.limits), turned(None))
-            return
-        ahead = sampled(path, start[0], c.horizon_m)
-        # Turn toward the route before it is flown.
-        look = ahead[min(int(_AHEAD_M / 0.1), len(ahead) - 1)] - start[0]
-        toward = atan2(look[1], look[0]) if hypot(look[0], look[1]) > 0.3 else None
-        turn = turned(toward)
-        askew = toward is not None and abs((toward + yaw_odom - yaw + pi) % (2.0 * pi) - pi) > _ASKEW_RAD
-        if askew and speed < 0.1:
-            self._say("turn")
-            follow(_at_rest(start[0]), turn)
-            self._progress_ns = now_ns
-            return
-        limits = replace(c.limits, speed_m_s=max(_SLOW_M_S, 0.8 * speed)) if askew else c.limits
-        trajectory = trajectory_along(space, ahead, start, c.body, limits)
-        if trajectory is not None and np.linalg.norm(trajectory.control_points[-1, -1] - start[0]) > 0.15:
-            self._say("fly home" if self._going == "home" else "fly")
-            self._progress_ns = now_ns
-            follow(trajectory, turn)
-            return
-        # Without a new trajectory: fly on, if that is still free, or stop.
-        rest = (course.positions_from(begins_ns) - T_world_odom[:3, 3]) @ R
-        if np.any(space.clearances(rest[::10]) < c.body.radius_m - grid.cell_m) and speed > 0.05:
-            self._say("blocked: stop")
-            follow(stop(space, start, c.body, c.limits), turn)
-            return
-        if speed < 0.1:
-            self._say("look")
-            follow(_at_rest(start[0]), turn)
-            if now_ns - self._progress_ns > _STUCK_NS:
-                self._give_up(ahead, grid, T_map_odom, c)
-                self._progress_ns = now_ns
-
-    def _route(
-        self,
-        now_ns: int,
-        grid: OccupancyGrid,
-        start: Array,
-        goal: Array,
-        T_map_odom: Array,
-        T_odom_map: Array,
-        c: ExploreSettings,
-    ) -> Array | None:
-        """Return the route in the odometry frame; None if the goal is unreachable."""
-        if self.route_map is None or now_ns >= self._route_due_ns or self._is_blocked(grid, T_odom_map):
-            known = self._mapper.fused()
-            if known is None:
-                return None
-            known = self._declared(known, T_odom_world=None)
-            ground = self._ground_m
-            at = T_map_odom[:3, :3] @ start + T_map_odom[:3, 3]
-            found = path_to_goal(known, at, goal, c.body, (ground + c.lowest_m, ground + c.highest_m), self._given_up)
-            self._route_due_ns = now_ns + _ROUTE_NS
-            if isinstance(found, NoRoute):
-                self._say(found.reason)
-                self.route_map = None
-                return None
-            self.route_map = found.waypoints
-        return np.asarray(self.route_map @ T_odom_map[:3, :3].T + T_odom_map[:3, 3])
-
-    def _is_blocked(self, grid: OccupancyGrid, T_odom_map: Array) -> bool:
-        """Return whether the local map has an obstacle on the route."""
-        assert self.route_map is not None
-        path = self.route_map @ T_odom_map[:3, :3].T + T_odom_map[:3, 3]
-        legs = [
-            np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / 0.1)) for a, b in zip(path[:-1], path[1:], strict=True)
-        ]
-        return bool(np.any(grid.at(np.concatenate(legs)) == OCCUPIED))
-
-    def _local_grid(self, T_odom_world: Array) -> OccupancyGrid | None:
-        """Return the local map with the declared column of the take-off."""
-        grid = self._mapper.local_map
-        self._ground_m = float((T_odom_world[:3, :3] @ self._stand + T_odom_world[:3, 3])[2]) - 0.13
-        self._column = T_odom_world[:3, :3] @ self._stand + T_odom_world[:3, 3]
-        return None if grid is None else self._declared(grid, T_odom_world)
-
-    def _declared(self, grid: OccupancyGrid, T_odom_world: Array | None) -> OccupancyGrid:
-        """Return a grid in which the unknown cells of the column of the take-off are free."""
-        c = self._settings
-        radius = c.pad_radius_m
-        top = self._column[2] + c.height_m + _LOOK_ABOVE_M + c.body.half_height_m + 0.1
-        low = grid.cells(np.append(self._column[:2] - radius, self._column[2]))
-        high = grid.cells(np.append(self._column[:2] + radius, top)) + 1
-        low, high = np.clip(low, 0, grid.states.shape), np.clip(high, 0, grid.states.shape)
-        if np.any(high <= low):
-            return grid
-        box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-        states = grid.states.copy()
-        cells = np.stack(np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True)), indexing="ij"), -1)
-        near = np.linalg.norm((grid.centres(cells) - self._column)[..., :2], axis=-1) <= radius
-        part = states[box]
-        part[near & (part == UNKNOWN)] = FREE
-        return replace(grid, states=states)
-
-    def _give_up(self, ahead: Array, grid: OccupancyGrid, T_map_odom: Array, c: ExploreSettings) -> None:
-        """Take what is unknown around the next part of the route as occupied, since it cannot be seen from here."""
-        near = ahead[: int(1.0 / 0.1)]
-        reach = np.arange(-c.body.radius_m, c.body.radius_m + 0.01, grid.cell_m)
-        offsets = np.stack(
-            np.meshgrid(reach, reach, reach[np.abs(reach) <= c.body.half_height_m + 0.01], indexing="ij"), -1
-        )
-        points = (near[:, None] + offsets.reshape(-1, 3)).reshape(-1, 3)
-        unseen = np.unique(grid.cells(points[grid.at(points) == UNKNOWN]), axis=0)
-        self._say(f"give up {len(unseen)} cells that cannot be seen")
-        found = grid.centres(unseen) @ T_map_odom[:3, :3].T + T_map_odom[:3, 3]
-        self._given_up = np.concatenate([self._given_up, found])
-        self._route_due_ns = 0
-
-    def _land(self, position: Array, yaw_rad: float, begins_ns: int) -> None:
-        """Descend and stop the rotors."""
-        down = np.append(position[:2], self._stand[2] - _SINK_M)
-        course = self._course
-        course.follow(Motion.of(straight(position, down, 0.5), _held(yaw_rad), begins_ns, course.interval_ns))
-        ends_ns = course.decided_until_ns
-        course.stop_rotors(ends_ns)
-        self._ends_ns = ends_ns + 300_000_000
-
-
-def _held(yaw_rad: float) -> Turn:
-    """Return the turn that keeps a heading."""
-    return Turn(yaw_rad, 0.0, 0.0, 1.0, _YAW_ACCEL_RAD_S2)
-
-
-def _at_rest(position: Array) -> CorridorTrajectory:
-    """Return the trajectory that stays at a position (3,)."""
-    return CorridorTrajectory(np.tile(position, (1, 8, 1)), np.array([0.0, 0.1]), np.zeros(1, np.int64))
-
-
-def _brake(start: Array, c: ExploreSettings) -> CorridorTrajectory:
-    """Return the trajectory to rest without a map."""
-    from dronevio.autonomy.local_plan import braking
-
-    return braking(start, c.limits)
+            x, y, z = self._course.planned(self._course.now_ns)[0][0].tolist()
+            self.decisions.append(Decision(self._course.now_ns, what, (x, y, z)))

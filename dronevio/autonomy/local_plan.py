@@ -3,17 +3,17 @@
 A plan is a trajectory inside free boxes around a route through the local map, with a turn toward where it leads next.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import ndimage
 
-from dronevio.autonomy.body import Body, body_distance
+from dronevio.autonomy.body import Body
 from dronevio.autonomy.corridor import Corridor, corridor_along
+from dronevio.autonomy.known_space import LocalSpace
 from dronevio.autonomy.route import NoRoute, route
 from dronevio.autonomy.trajectory import CorridorTrajectory, corridor_trajectory
-from dronevio.models.arrays import Array, Mask
-from dronevio.models.occupancy import OCCUPIED, UNKNOWN, DistanceField, OccupancyGrid
+from dronevio.models.arrays import Array
 from dronevio.sim.paths.limits import Limits
 
 _REACH_M = 2.0  # of the boxes of a corridor
@@ -22,69 +22,14 @@ _SPARE_M = (0.2, 0.1, 0.0)  # clearance of the route beyond that of the corridor
 _NEIGHBOURS = np.ones((3, 3, 3), np.bool_)
 
 
-@dataclass(frozen=True, eq=False)
-class LocalSpace:
-    """Where the centre of the vehicle may be, by the local map.
-
-    The body keeps its margin from surfaces, whose places have errors; it does not enter unknown space, but for gaps in
-    free space that are one cell thick: the depth along edges is unknown until an edge is seen from another side, and a
-    thing that is hidden there is seen from 1.5 m away.
-    """
-
-    grid: OccupancyGrid
-    """The local map."""
-    distance: DistanceField
-    """Horizontal distances to surfaces, or to what is unknown if that is nearer less the margin of the body."""
-
-    @classmethod
-    def of(cls, grid: OccupancyGrid, body: Body) -> "LocalSpace":
-        """Return the space for a body; nothing outside the grid is known."""
-        unseen = _thick(grid.states == UNKNOWN)
-        for axis in range(3):
-            ends = np.moveaxis(unseen, axis, 0)
-            ends[0] = ends[-1] = True
-        to_surfaces = body_distance(grid, grid.states == OCCUPIED, body).distance_m
-        to_unseen = body_distance(grid, unseen, body).distance_m
-        to_unseen += np.where(to_unseen > 0.0, np.float32(body.radius_m - body.bare_radius_m), np.float32(0.0))
-        distance = DistanceField(grid.low_m, grid.cell_m, np.minimum(to_surfaces, to_unseen), grid.frame)
-        return cls(grid, distance)
-
-    def is_clear(self, clearance_m: float) -> Mask:
-        """Return the cells (X, Y, Z) with a clearance [m]."""
-        return np.asarray(self.distance.distance_m >= clearance_m - 1e-6)
-
-    def clearances(self, points: Array) -> Array:
-        """Return the clearances (N,) of points (N, 3), 0 outside the grid [m]."""
-        cells = self.grid.cells(points)
-        inside = np.all((cells >= 0) & (cells < self.grid.states.shape), axis=1)
-        values = np.zeros(len(points))
-        values[inside] = self.distance.distance_m[tuple(cells[inside].T)]
-        return values
-
-
-def _thick(cells: Mask) -> Mask:
-    """Return the cells (X, Y, Z) of a mask that lie in a cube of 2 × 2 × 2 of its cells."""
-    cubes = cells
-    for axis in range(3):
-        a = np.moveaxis(cubes, axis, 0)
-        cubes = np.moveaxis(a[:-1] & a[1:], 0, axis)
-    for axis in range(3):
-        a = np.moveaxis(cubes, axis, 0)
-        grown = np.zeros((a.shape[0] + 1, *a.shape[1:]), np.bool_)
-        grown[:-1] |= a
-        grown[1:] |= a
-        cubes = np.moveaxis(grown, 0, axis)
-    return np.asarray(cubes)
-
-
-def sampled(path: Array, start: Array, length_m: float) -> Array:
+def sampled(path: Array, start: Array, length_m: float = np.inf) -> Array:
     """Return points (M, 3) along a path (N, 3), from its nearest one to a start (3,), up to a length [m]."""
     legs = np.linalg.norm(np.diff(path, axis=0), axis=1)
     along = np.append(0.0, np.cumsum(legs))
     s = np.arange(0.0, along[-1] + _STEP_M, _STEP_M)
     points = np.stack([np.interp(s, along, path[:, axis]) for axis in range(3)], axis=-1)
     first = int(np.argmin(np.linalg.norm(points - start, axis=1)))
-    return points[first : first + int(length_m / _STEP_M) + 1]
+    return points[first : first + int(min(length_m, along[-1]) / _STEP_M) + 2]
 
 
 def trajectory_along(
@@ -166,6 +111,11 @@ def straight(start: Array, end: Array, speed_m_s: float) -> CorridorTrajectory:
     )
     assert trajectory is not None  # from rest to rest in a box
     return trajectory
+
+
+def at_rest(position: Array) -> CorridorTrajectory:
+    """Return the trajectory that stays at a position (3,)."""
+    return CorridorTrajectory(np.tile(position, (1, 8, 1)), np.array([0.0, 0.1]), np.zeros(1, np.int64))
 
 
 def slowed(trajectory: CorridorTrajectory, duration_s: float) -> CorridorTrajectory:

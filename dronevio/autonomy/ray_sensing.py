@@ -21,7 +21,7 @@ from dronevio.sim.cameras.interpolation import interpolated_poses
 from dronevio.sim.ray_casting import RayCaster
 from dronevio.sim.streams import generator
 
-_WIDTH, _HEIGHT, _FOCAL = 96, 52, 46.8  # 91.5° × 58°, those of the rectified pair of EuRoC
+_WIDTH, _HEIGHT, _FOCAL = 192, 104, 93.6  # 91.5° × 58°, those of the rectified pair of EuRoC
 _FARTHEST_M = 12.0
 
 
@@ -101,7 +101,8 @@ class DriftingOdometry:
         """
         self._cameras, self._errors, self._rng = cameras, errors or RaySensing(), generator(seed, "frames", 2)
         self._imu = ImuRatePropagator(cameras._rig.imu)
-        self._drift, self._last = np.eye(4), None
+        self._drift = np.eye(4)
+        self._last: Array | None = None
         self.path_m = 0.0
 
     def add_imu(self, samples: ImuSamples) -> None:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 from dronevio.autonomy.body import Body
+from dronevio.estimator.mapping.config import DenseMapConfig
 from dronevio.models.ranges import Range, Settings
 from dronevio.sim.paths.limits import Limits
 
@@ -16,11 +17,13 @@ class ExploreSettings(Settings):
     """Space that must be known to be free around the vehicle."""
     limits: Limits = field(default_factory=lambda: Limits(speed_m_s=2.0, accel_m_s2=3.0, yaw_rate_rad_s=1.5))
     """Limits of the motion; the rate of the heading is at most 90 °/s."""
+    map: DenseMapConfig = field(default_factory=DenseMapConfig)
+    """The map: its cells, and to which depth it is filled."""
     height_m: Annotated[float, Range(0.3, 100.0)] = 1.2
     """Height to which the vehicle takes off, above the ground [m]."""
     pad_radius_m: Annotated[float, Range(0.3, 100.0)] = 0.9
-    """Radius of the column above the pad that is known to be free before the take-off [m]. The cameras see nothing below,
-    above and within half a metre."""
+    """Radius of the column above the pad that is known to be free before the take-off [m]; the cameras see nothing
+    below, above and within half a metre."""
     lowest_m: Annotated[float, Range(0.0, 1000.0)] = 0.5
     """Least height of routes above the ground of the take-off [m]."""
     highest_m: Annotated[float, Range(0.0, 1000.0)] = 2.0
