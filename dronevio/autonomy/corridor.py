@@ -9,7 +9,7 @@ quadrotors in cluttered environments", 2019, for the corridors of boxes.
 """
 
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import pairwise, permutations
 
 import numpy as np
 
@@ -42,8 +42,8 @@ def passable(grid: OccupancyGrid, distance: DistanceField, clearance_m: float) -
 def corridor_along(grid: OccupancyGrid, is_passable: Mask, waypoints: Array, reach_m: float) -> Corridor | None:
     """Return the corridor along a polyline, or None if the polyline leaves the passable cells.
 
-    Every point of a box lies in a passable cell. Where the polyline passes between cells diagonally, it goes through one
-    of the cells beside that is passable; there is one for a polyline whose cells have two cells more clearance than
+    Every point of a box lies in a passable cell. Where the polyline passes between cells diagonally, it goes through
+    one of the cells beside that is passable; there is one for a polyline whose cells have two cells more clearance than
     passable ones need.
 
     Args:
@@ -89,7 +89,7 @@ def _cells_along(grid: OccupancyGrid, waypoints: Array) -> Integers:
 def _through_faces(cells: Integers, is_passable: Mask) -> Integers:
     """Return cells (M, 3) with further ones between those that share no face, by way of passable cells if there are."""
     chain = [cells[:1]]
-    for a, b in zip(cells[:-1], cells[1:], strict=True):
+    for a, b in pairwise(cells):
         axes = np.flatnonzero(a != b)
         if len(axes) > 1:
             ways = (_steps(a, b, order) for order in permutations(axes.tolist()))

@@ -7,6 +7,7 @@ stays until the next plan.
 """
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import atan2, hypot, pi, radians, remainder
 from typing import Literal
@@ -21,6 +22,7 @@ from dronevio.autonomy.local_plan import at_rest, braking, sampled, slowed, stop
 from dronevio.autonomy.route import NoRoute
 from dronevio.autonomy.settings import ExploreSettings
 from dronevio.autonomy.trajectory import CorridorTrajectory
+from dronevio.dense_mapping import DepthListener
 from dronevio.estimator.mapping.dense_mapper import DenseMapper
 from dronevio.estimator.mapping.depth_source import DepthSource, depth_source
 from dronevio.estimator.threads import single_threaded
@@ -156,6 +158,7 @@ class Explorer:
         longest_s: float,
         settings: ExploreSettings | None = None,
         source: DepthSource | None = None,
+        listeners: Sequence[DepthListener] = (),
     ) -> None:
         """Define a flight.
 
@@ -164,8 +167,9 @@ class Explorer:
             longest_s: Duration after which the flight ends [s].
             settings: Settings.
             source: Source of depth images; by default from the images of the rig.
+            listeners: Receive the depth images while the map grows.
         """
-        self._goal, self._longest_s, self._source = goal, longest_s, source
+        self._goal, self._longest_s, self._source, self._listeners = goal, longest_s, source, listeners
         self._settings = settings or ExploreSettings()
         self.outcome: Outcome | None = None
         self.decisions: list[Decision] = []
@@ -189,6 +193,11 @@ class Explorer:
     def mapper(self) -> DenseMapper:
         """The map; it exists from the start of the flight on."""
         return self._mapper
+
+    @property
+    def now_ns(self) -> int:
+        """Time on the clock of the course, which stands still while the vehicle waits on its pad [ns]."""
+        return self._course.now_ns
 
     @property
     def departs_ns(self) -> int:
@@ -233,6 +242,8 @@ class Explorer:
         if depth is not None:
             self._depth_ns = now_ns
             self.times.map.append(1e3 * (time.process_time() - began) - sum(self.times.depth[before:]))
+            for listener in self._listeners:
+                listener(depth, estimate, self._mapper)
         self.T_world_odom = T_world_odom
         if self._ends_ns is None and now_ns >= self._plan_due_ns - _EARLY_NS:
             began = time.process_time()
@@ -403,12 +414,12 @@ class Explorer:
 
     def _turn(self, m: _Moment, toward_rad: float | None) -> Turn:
         """Return the turn toward a heading in the odometry frame, or to rest."""
-        limits = self._settings.limits.yaw_rate_rad_s, _YAW_ACCEL_RAD_S2
+        bounds = self._settings.limits.yaw_rate_rad_s, _YAW_ACCEL_RAD_S2
         if toward_rad is None:
             angle = 0.5 * m.yaw_rate_rad_s * abs(m.yaw_rate_rad_s) / _YAW_ACCEL_RAD_S2
-            return Turn(m.yaw_rad, m.yaw_rate_rad_s, angle, *limits)
-        toward_rad += yaw_rad_from_matrix(m.T_world_odom[:3, :3])
-        return Turn.toward(m.yaw_rad, m.yaw_rate_rad_s, toward_rad, *limits)
+            return Turn(m.yaw_rad, m.yaw_rate_rad_s, angle, *bounds)
+        target = toward_rad + float(yaw_rad_from_matrix(m.T_world_odom[:3, :3]))
+        return Turn.toward(m.yaw_rad, m.yaw_rate_rad_s, target, *bounds)
 
     def _follow(self, m: _Moment, trajectory: CorridorTrajectory, turn: Turn) -> None:
         """Follow a trajectory of the odometry frame."""

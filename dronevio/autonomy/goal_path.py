@@ -1,7 +1,7 @@
 """Paths to a goal through a map that is not yet complete: what is unknown is taken as free until it is seen.
 
-Such a path exists unless what was seen separates start and goal. It is flown only as far as it is known to be free; what
-is seen from there changes the map, and the path with it.
+Such a path exists unless what was seen separates start and goal. It is flown only as far as it is known to be free;
+what is seen from there changes the map, and the path with it.
 
 Source: Koenig, Tovey and Smirnov, "Performance bounds for planning in unknown terrain", 2003, for the free-space
 assumption.

@@ -101,6 +101,11 @@ def shortest_m(grid: OccupancyGrid, start: Array, goal: Array, body: Body = _BOD
     return _Room.of(grid, body).shortest_m(start, goal)
 
 
+def reachable_places(world: str, world_seed: int, start: Array, body: Body = _BODY) -> Array:
+    """Return the centres (N, 3) of the cells of the true map that a body reaches from a point (3,) of the world [m]."""
+    return _true_room(world, world_seed, body).reached(start)
+
+
 @dataclass(frozen=True, eq=False)
 class _Room:
     """Where the centre of a body may be in a true map."""

@@ -21,8 +21,8 @@ from dronevio.sim.cameras.interpolation import interpolated_poses
 from dronevio.sim.ray_casting import RayCaster
 from dronevio.sim.streams import generator
 
-_WIDTH, _HEIGHT, _FOCAL = 192, 104, 93.6  # 91.5° × 58°, those of the rectified pair of EuRoC
-_FARTHEST_M = 12.0
+_WIDTH, _HEIGHT, _FOCAL = 96, 52, 46.8  # 91.5° × 58°, those of the rectified pair of EuRoC
+_FARTHEST_M = 12.0  # of surfaces; what is farther counts as a surface there, as leaves and haze do
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class RayCameras:
             return None
         T_world_cam = self.T_world_imu @ self._rig.cameras[0].T_imu_cam
         ranges = self._caster.ranges_m(T_world_cam[None], self._bearings, _FARTHEST_M)[0]
-        depth = np.where(np.isfinite(ranges), ranges * self._scale, 0.0)
+        depth = np.where(np.isfinite(ranges), ranges, _FARTHEST_M) * self._scale
         true = depth.reshape(_HEIGHT, _WIDTH).astype(np.float32)
         sigma = np.float32(self._errors.depth_sigma_per_m) * true * true
         noisy = true + sigma * self._rng.standard_normal(true.shape, dtype=np.float32)

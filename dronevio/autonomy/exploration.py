@@ -1,0 +1,250 @@
+"""Flights through unknown worlds on the drone's own estimate: sensors, estimate, map, plan and control in one process.
+
+The truth moves the vehicle, draws the goal and scores the flight. The pilot receives frames, IMU samples and the goal.
+"""
+
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dronevio.autonomy.explorer import Decision, Explorer, Outcome, Plan, StageTimes, moved
+from dronevio.autonomy.goals import HOVER_M, drawn_goal, reachable_places, shortest_m
+from dronevio.autonomy.ray_sensing import DriftingOdometry, RayCameras, RaySensing
+from dronevio.autonomy.settings import ExploreSettings
+from dronevio.autonomy.true_map import true_map
+from dronevio.dense_mapping import DepthListener
+from dronevio.estimator.mapping.depth_source import DepthSource
+from dronevio.estimator.odometry import VisualInertialOdometry
+from dronevio.estimator.slam.visual_slam import VisualSlam
+from dronevio.estimators.driver import TimedEstimator
+from dronevio.eval.metrics.scores import score_trajectory
+from dronevio.eval.run import EstimatorRun
+from dronevio.models.arrays import Array
+from dronevio.models.errors import ConfigError, EvaluationError
+from dronevio.models.occupancy import FREE, OccupancyGrid, PlacedSubmap
+from dronevio.models.progress import Progress, silent
+from dronevio.models.protocols import Estimator
+from dronevio.models.rig_presets import rig_named
+from dronevio.models.rotation import inverse_pose
+from dronevio.models.state import CameraFrame
+from dronevio.recording.recorder import cameras_of
+from dronevio.sim.closed_loop.flight import fly_closed_loop
+from dronevio.sim.closed_loop.frame_source import FrameSource
+from dronevio.sim.flight import Flight
+from dronevio.sim.paths.plan import FlightPlan
+from dronevio.sim.scenario import Scenario
+from dronevio.sim.scenarios import SCENARIOS, scenario_named
+from dronevio.sim.world import WORLDS, flight_area, solid_space
+
+LONGEST_S = 120.0
+"""Default duration after which a flight to a goal ends [s]."""
+RIG = "euroc-stereo"
+"""Default sensors."""
+
+
+@dataclass(frozen=True)
+class ExplorationScores:
+    """How a flight ended, by the truth."""
+
+    outcome: Outcome
+    """How it ended: as the pilot says, or by a collision or the time."""
+    collided: bool
+    """Whether the vehicle touched anything but the ground with its feet."""
+    distance_to_goal_m: float
+    """True distance from the goal at the end [m]."""
+    path_m: float
+    """Length of the true path after take-off and turns [m]."""
+    shortest_m: float
+    """Length of the shortest path to the goal on the true map [m]; inf without one."""
+    time_s: float
+    """Duration of the flight [s]."""
+    covered_share: float
+    """Share of the places that the body reaches in the true world that the map knows to be free."""
+    ate_m: float | None
+    """Absolute trajectory error of the estimate (RMSE) [m]; None without a pose."""
+    median_speed_m_s: float
+    """Median true speed while it is more than 0.2 m/s, after take-off and turns [m/s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Exploration:
+    """A flight through an unknown world."""
+
+    scenario: Scenario
+    """World, sensors and vehicle."""
+    goal_m: Array
+    """(3,) Goal in the world [m]."""
+    scores: ExplorationScores
+    """How the flight ended."""
+    flight: Flight
+    """The true flight, without its images."""
+    run: EstimatorRun
+    """The estimates of all frames, and their cost."""
+    occupancy: OccupancyGrid | None
+    """What is free, occupied and unknown at the end, in the map frame; None without depth."""
+    submaps: tuple[PlacedSubmap, ...]
+    """The parts of the map."""
+    T_world_map: Array
+    """(4, 4) Pose of the map frame in the world, by the known pose of the pad."""
+    decisions: tuple[Decision, ...]
+    """What the pilot decided."""
+    plans: tuple[Plan, ...]
+    """The trajectories that were flown, in the order of time."""
+    times: StageTimes
+    """Processor times of depth, map and plan."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sensing:
+    """How a flight sees: its frames, its estimator, and its source of depth."""
+
+    frames: FrameSource
+    """Renders the frames."""
+    estimator: Estimator
+    """Estimator before its first measurement."""
+    depth: DepthSource | None = None
+    """Source of depth images; by default from the images of the rig."""
+
+
+def exploration_scenario(name: str, seed: int = 0, rig: str = RIG) -> Scenario:
+    """Return a scenario to explore: that of a world, or a scenario by its name, of which the plan is not flown.
+
+    Args:
+        name: Name of a world or of a scenario.
+        seed: Seed of the world, the goal and the errors of the sensors.
+        rig: Sensors; see `rig_named`.
+
+    Raises:
+        ConfigError: There is neither such a world nor such a scenario.
+    """
+    if name in WORLDS:
+        plan = FlightPlan(shape="tour")
+        return Scenario(f"explore-{name}-v0", f"a flight through {name}", plan, name, rig_named(rig), seed=seed)
+    if name not in SCENARIOS and f"{name}-v0" not in SCENARIOS:
+        raise ConfigError(f"{name!r} to explore; expected a scenario or one of the worlds {', '.join(WORLDS)}")
+    return replace(scenario_named(name, seed), rig=rig_named(rig))
+
+
+def explore(
+    scenario: str | Scenario = "office",
+    goal: Sequence[float] | None = None,
+    *,
+    seed: int = 0,
+    longest_s: float = LONGEST_S,
+    settings: ExploreSettings | None = None,
+    slam: bool = True,
+    true_pose: bool = False,
+    without_images: RaySensing | None = None,
+    listeners: Sequence[DepthListener] = (),
+    on_frame: Callable[[CameraFrame], None] = lambda frame: None,
+    progress: Progress = silent,
+) -> Exploration:
+    """Fly to a goal through an unknown world on the drone's own estimate.
+
+    Args:
+        scenario: A scenario, or the name of a world or of a scenario.
+        goal: (3,) Goal in the world [m]; by default one behind obstacles, drawn by the seed.
+        seed: Seed of a named scenario.
+        longest_s: Duration after which the flight ends [s].
+        settings: Settings of mapping, planning and flight.
+        slam: Whether loops correct the map and with it goal and route; otherwise they drift as the odometry does.
+        true_pose: Whether pilot, map and controller receive the true pose in place of the estimate, which is an upper
+            bound.
+        without_images: Errors of depth along rays and of a drifting odometry, in place of images and estimator.
+        listeners: Receive the depth images while the map grows.
+        on_frame: Receives every frame.
+        progress: Called with the number of completed control steps and their total.
+
+    Returns:
+        The flight. The same arguments give the same flight on the same kind of processor.
+
+    Raises:
+        ConfigError: An argument is wrong, or the world has no goal behind obstacles.
+        GraphicsError: There is no off-screen OpenGL.
+    """
+    flown = exploration_scenario(scenario, seed) if isinstance(scenario, str) else scenario
+    where = np.array(drawn_goal(flown.world, flown.seed_of_world, flown.seed) if goal is None else goal, np.float64)
+    if where.shape != (3,) or not np.isfinite(where).all():
+        raise ConfigError(f"goal = {goal}; expected three finite numbers [m]")
+    if without_images is not None:
+        cameras = RayCameras(flown.world, flown.seed_of_world, flown.rig, flown.seed, without_images)
+        sensing = Sensing(cameras, DriftingOdometry(cameras, flown.seed, without_images), cameras)
+        return _flown(flown, where, longest_s, settings, sensing, true_pose, listeners, on_frame, progress)
+    with closing(cameras_of(flown)) as rendered:
+        estimator = VisualSlam(flown.rig) if slam else VisualInertialOdometry(flown.rig)
+        sensing = Sensing(rendered, estimator)
+        return _flown(flown, where, longest_s, settings, sensing, true_pose, listeners, on_frame, progress)
+
+
+def _flown(
+    scenario: Scenario,
+    goal: Array,
+    longest_s: float,
+    settings: ExploreSettings | None,
+    sensing: Sensing,
+    true_pose: bool,
+    listeners: Sequence[DepthListener],
+    on_frame: Callable[[CameraFrame], None],
+    progress: Progress,
+) -> Exploration:
+    """Fly and score."""
+    pilot = Explorer(goal, longest_s, settings, sensing.depth, listeners)
+    estimator = TimedEstimator(sensing.estimator)
+    flight = fly_closed_loop(
+        scenario, estimator, sensing.frames, progress=progress, on_frame=on_frame, pilot=pilot, true_state=true_pose
+    )
+    run = estimator.run
+    if isinstance(sensing.estimator, VisualSlam):
+        run = replace(run, map=sensing.estimator.final_map())
+    mapper = pilot.mapper
+    T_world_map = np.eye(4) if pilot.T_world_odom is None else pilot.T_world_odom
+    occupancy = mapper.fused()
+    scores = _scores(scenario, goal, flight, run, pilot, occupancy, T_world_map)
+    submaps, decisions, plans = mapper.submaps, tuple(pilot.decisions), tuple(pilot.plans)
+    mapper.close()
+    return Exploration(
+        scenario, goal, scores, flight, run, occupancy, submaps, T_world_map, decisions, plans, pilot.times
+    )
+
+
+def _scores(
+    scenario: Scenario,
+    goal: Array,
+    flight: Flight,
+    run: EstimatorRun,
+    pilot: Explorer,
+    occupancy: OccupancyGrid | None,
+    T_world_map: Array,
+) -> ExplorationScores:
+    """Return the scores of a flight by the truth."""
+    truth = flight.truth
+    rig = flight.true_rig
+    lever = rig.T_vehicle_imu[:3, :3].T @ rig.T_vehicle_imu[:3, 3]
+    position = truth.p_world_imu - truth.rotations @ lever
+    # The clock of the course stands still while the vehicle waits on its pad.
+    waited_ns = int(truth.t_ns[-1]) - pilot.now_ns
+    under_way = truth.t_ns >= pilot.departs_ns + waited_ns
+    steps = np.diff(position[under_way][::10], axis=0)
+    assert truth.velocity_m_s is not None
+    speed = np.linalg.norm(truth.velocity_m_s[under_way], axis=1)
+    start = flight_area(scenario.world, scenario.seed_of_world).pad + [0.0, 0.0, HOVER_M]
+    places = reachable_places(scenario.world, scenario.seed_of_world, start)
+    known = np.zeros(0) if occupancy is None else occupancy.at(moved(inverse_pose(T_world_map), places)) == FREE
+    outcome: Outcome = pilot.outcome or "timeout"
+    try:
+        ate_m = float(score_trajectory(truth, run.trajectory).scores.ate_m.rmse)
+    except EvaluationError:
+        ate_m = None
+    return ExplorationScores(
+        outcome="collision" if flight.collision is not None else outcome,
+        collided=flight.collision is not None,
+        distance_to_goal_m=float(np.linalg.norm(position[-1] - goal)),
+        path_m=float(np.linalg.norm(steps, axis=1).sum()),
+        shortest_m=shortest_m(true_map(solid_space(scenario.world, scenario.seed_of_world)), start, goal),
+        time_s=float(truth.t_s[-1]),
+        covered_share=float(known.mean()) if len(known) else 0.0,
+        ate_m=ate_m,
+        median_speed_m_s=float(np.median(speed[speed > 0.2])) if np.any(speed > 0.2) else 0.0,
+    )
