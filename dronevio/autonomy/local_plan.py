@@ -22,6 +22,7 @@ _REACH_M = 2.0  # of the boxes of a corridor
 _STEP_M = 0.1  # between samples of a path
 _SPARE_M = (0.2, 0.1, 0.0)  # clearance of the route beyond that of the corridor, tried in turn
 _ASIDE_M = (0.3, 1.0)  # distance of places from which a path is looked at again
+_STILL_M_S = 0.1  # up to which a trajectory is sought in every corridor, however long that takes
 _MAX_EXPANSIONS = 100_000
 _NEIGHBOURS = np.ones((3, 3, 3), np.bool_)
 
@@ -71,15 +72,19 @@ def trajectory_along(
         trajectory = None if corridor is None else corridor_trajectory(corridor, start, way[-1], limits)
         if trajectory is not None:
             return trajectory
+        if corridor is not None and np.linalg.norm(start[1]) > _STILL_M_S:
+            return None  # what was decided before is flown on
     return None
 
 
 def _ways(space: LocalSpace, clear: Mask, start: Array, target: Array, body: Body) -> Iterator[Array]:
     """Yield polylines (N, 3) from a start to a target through clear cells, those with the most room first."""
+    last = np.zeros((0, 3))
     for spare_m in _SPARE_M:
         found = route(space.grid, space.distance, start, target, clearance_m=body.radius_m + spare_m, near_m=0.5)
-        if not isinstance(found, NoRoute):
-            yield found.waypoints
+        if not isinstance(found, NoRoute) and not np.array_equal(found.waypoints, last):
+            last = found.waypoints
+            yield last
     # Through a gap that is hardly wider than the body, diagonal steps may leave no room for boxes.
     ends = space.grid.cells(np.stack([start, target]))
     cells = shortest_path(clear, ends[0], ends[1], _MAX_EXPANSIONS, through_faces=True).cells
