@@ -7,17 +7,20 @@ stays until the next plan.
 """
 
 import time
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import atan2, hypot, pi, radians, remainder
+from math import atan2, hypot, pi, radians, remainder, sqrt
 from typing import Literal
 
 import numpy as np
 
+from dronevio.autonomy.body import Body
 from dronevio.autonomy.decided_course import DecidedCourse, Motion
 from dronevio.autonomy.goal_path import path_to_goal
 from dronevio.autonomy.heading import Turn
 from dronevio.autonomy.known_space import LocalSpace, around, with_free_column
+from dronevio.autonomy.landing import landing_place
 from dronevio.autonomy.local_plan import at_rest, braking, sampled, slowed, stop, straight, trajectory_along
 from dronevio.autonomy.route import NoRoute
 from dronevio.autonomy.settings import ExploreSettings
@@ -57,6 +60,8 @@ _STOP_AFTER_NS, _LAND_AFTER_NS = 300_000_000, 1_000_000_000  # without depth
 _ROUTE_NS = 1_000_000_000  # between two routes
 _STUCK_NS = 2_000_000_000  # without progress, after which unseen space on the route is given up
 _RETRIES = 2  # of what was given up, before the goal is unreachable
+_MEMORY_NS = 4_000_000_000  # age of the local map around the vehicle
+_MARGIN_SIGMAS, _MAX_MARGIN_M = 2.0, 0.15
 _SINK_M = 0.05  # by which the descent ends below the ground
 _EARLY_NS = 1_000_000  # by which a plan may be made before it is due, for time stamps that jitter
 
@@ -125,6 +130,8 @@ class _Moment:
     """Heading at that time in the world [rad]."""
     yaw_rate_rad_s: float
     """Its rate [rad/s]."""
+    body: Body
+    """The body with the margin for the error of the estimate relative to the local map."""
     grid: OccupancyGrid | None
     """The local map."""
     T_world_odom: Array
@@ -180,6 +187,7 @@ class Explorer:
         self._given_up = np.zeros((0, 3))
         self._retries = _RETRIES
         self._depth_ns = 0
+        self._variances: deque[tuple[int, float]] = deque()
         self._plan_due_ns = self._route_due_ns = self._progress_ns = 0
         self._ends_ns: int | None = None
         self._is_going_home = False
@@ -264,7 +272,21 @@ class Explorer:
         if grid is not None:
             grid = self._with_pad(grid, T_odom_world)
         T_map_odom = np.eye(4) if estimate.T_map_odom is None else estimate.T_map_odom
-        return _Moment(now_ns, begins_ns, start, yaw, yaw_rate, grid, T_world_odom, T_map_odom, estimate)
+        body = self._body_with_margin(now_ns, estimate)
+        return _Moment(now_ns, begins_ns, start, yaw, yaw_rate, body, grid, T_world_odom, T_map_odom, estimate)
+
+    def _body_with_margin(self, now_ns: int, estimate: Estimate) -> Body:
+        """Return the body, larger by the growth of the uncertainty of the position since the local map was seen."""
+        body = self._settings.body
+        if estimate.state is None or estimate.state.covariance is None:
+            return body
+        variance = float(np.linalg.eigvalsh(estimate.state.covariance[3:6, 3:6])[-1])
+        self._variances.append((now_ns, variance))
+        while now_ns - self._variances[0][0] > _MEMORY_NS:
+            self._variances.popleft()
+        growth = max(variance - min(each for _, each in self._variances), 0.0)
+        margin_m = min(_MARGIN_SIGMAS * sqrt(growth), _MAX_MARGIN_M)
+        return replace(body, radius_m=body.radius_m + margin_m, bare_radius_m=body.bare_radius_m + margin_m)
 
     def _with_pad(self, grid: OccupancyGrid, T_grid_world: Array) -> OccupancyGrid:
         """Return a grid in which what is unknown above the pad is free."""
@@ -279,12 +301,12 @@ class Explorer:
         is_lost = m.estimate.health in (Health.LOST, Health.INITIALIZING) or m.estimate.track != 0
         without_ns = m.now_ns - self._depth_ns
         if is_lost or m.grid is None or without_ns > _LAND_AFTER_NS:
-            self._brake_and_land(m, "the estimate is lost" if is_lost else "no depth")
+            self._brake_and_land(m, "the estimate is lost" if is_lost else "no depth", is_lost)
             return
-        space = LocalSpace.of(m.grid, c.body)
+        space = LocalSpace.of(m.grid, m.body)
         if without_ns > _STOP_AFTER_NS:
             self._say("no depth: stop")
-            self._follow(m, stop(space, m.start, c.body, c.limits), self._turn(m, None))
+            self._follow(m, stop(space, m.start, m.body, c.limits), self._turn(m, None))
             return
         # The goal or, on the way home, the hover above the pad.
         goal = m.from_world(self._target)  # the map frame is the odometry frame of the start
@@ -295,7 +317,7 @@ class Explorer:
         path = self._path(m, goal)
         if path is None:
             self._turn_back(m)
-            self._follow(m, stop(space, m.start, c.body, c.limits), self._turn(m, None))
+            self._follow(m, stop(space, m.start, m.body, c.limits), self._turn(m, None))
             return
         self._fly_along(m, space, sampled(path, m.start[0], c.horizon_m))
 
@@ -317,7 +339,7 @@ class Explorer:
             self._progress_ns = m.now_ns
             return
         limits = replace(c.limits, speed_m_s=max(_SLOW_M_S, 0.8 * m.speed_m_s)) if is_askew else c.limits
-        trajectory = trajectory_along(space, ahead, m.start, c.body, limits)
+        trajectory = trajectory_along(space, ahead, m.start, m.body, limits)
         if trajectory is not None and np.linalg.norm(trajectory.control_points[-1, -1] - m.start[0]) > _LEAST_STEP_M:
             self._say("fly home" if self._is_going_home else "fly")
             self._progress_ns = m.now_ns
@@ -325,9 +347,9 @@ class Explorer:
             return
         # Without a new trajectory: fly on if the last one is still free, otherwise stop.
         rest = m.from_world(self._course.positions_from(m.begins_ns))[::10]
-        if m.speed_m_s > 0.5 * _STILL_M_S and np.any(space.clearances(rest) < c.body.radius_m - space.grid.cell_m):
+        if m.speed_m_s > 0.5 * _STILL_M_S and np.any(space.clearances(rest) < m.body.radius_m - space.grid.cell_m):
             self._say("the trajectory is blocked: stop")
-            self._follow(m, stop(space, m.start, c.body, c.limits), turn)
+            self._follow(m, stop(space, m.start, m.body, c.limits), turn)
         elif m.speed_m_s < _STILL_M_S:
             self._say("look")
             self._follow(m, at_rest(m.start[0]), turn)
@@ -356,11 +378,11 @@ class Explorer:
         known = self._with_pad(known, inverse_pose(m.T_world_odom))
         ground_m = float(m.from_world(self._stand)[2])
         heights_m, start = (ground_m + c.lowest_m, ground_m + c.highest_m), moved(m.T_map_odom, m.start[0])
-        found = path_to_goal(known, start, goal, c.body, heights_m, self._given_up)
+        found = path_to_goal(known, start, goal, m.body, heights_m, self._given_up)
         if isinstance(found, NoRoute) and len(self._given_up) and self._retries:
             self._say("no route: try again what was given up")
             self._given_up, self._retries = self._given_up[:0], self._retries - 1
-            found = path_to_goal(known, start, goal, c.body, heights_m, self._given_up)
+            found = path_to_goal(known, start, goal, m.body, heights_m, self._given_up)
         if isinstance(found, NoRoute):
             self._say(f"no route: {found.reason}")
             return None
@@ -391,17 +413,26 @@ class Explorer:
             self._say("unreachable: return home")
             self.outcome, self._is_going_home, self._route_map = "unreachable", True, None
 
-    def _brake_and_land(self, m: _Moment, why: str) -> None:
-        """Stop, then land."""
-        c = self._settings
+    def _brake_and_land(self, m: _Moment, why: str, is_lost: bool) -> None:
+        """Stop, then land: here if the estimate is lost, else where level floor was observed, else not yet."""
+        space = None if m.grid is None else LocalSpace.of(m.grid, m.body)
         if m.speed_m_s > 0.5 * _STILL_M_S:
             self._say(f"{why}: brake")
-            space = None if m.grid is None else LocalSpace.of(m.grid, c.body)
-            trajectory = braking(m.start, c.limits) if space is None else stop(space, m.start, c.body, c.limits)
+            limits = self._settings.limits
+            trajectory = braking(m.start, limits) if space is None else stop(space, m.start, m.body, limits)
             self._follow(m, trajectory, self._turn(m, None))
-        else:
+            return
+        place = None if space is None else landing_place(space, m.start[0], m.body)
+        if is_lost or (place is not None and np.linalg.norm(place - m.start[0]) < _NEAR_M):
             self._land(m, f"{why}: land")
             self.outcome = "lost"
+        elif space is None or place is None:
+            self._say(f"{why}: hold, no floor was observed")
+        else:
+            self._say(f"{why}: fly to observed floor")
+            trajectory_there = trajectory_along(space, place[None], m.start, m.body, self._settings.limits)
+            if trajectory_there is not None:
+                self._follow(m, trajectory_there, self._turn(m, None))
 
     def _land(self, m: _Moment, why: str) -> None:
         """Descend and stop the rotors."""

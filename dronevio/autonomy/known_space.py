@@ -19,7 +19,7 @@ class LocalSpace:
     """
 
     grid: OccupancyGrid
-    """The local map."""
+    """The local map, in which the thin gaps are free."""
     distance: DistanceField
     """Horizontal distances to surfaces, or to what is unknown if that is nearer less the margin of the body."""
 
@@ -34,7 +34,8 @@ class LocalSpace:
         to_unseen = body_distance(grid, unseen, body).distance_m
         to_unseen += np.where(to_unseen > 0.0, np.float32(body.radius_m - body.bare_radius_m), np.float32(0.0))
         distance = DistanceField(grid.low_m, grid.cell_m, np.minimum(to_surfaces, to_unseen), grid.frame)
-        return cls(grid, distance)
+        states = np.where((grid.states == UNKNOWN) & ~unseen, np.uint8(FREE), grid.states)
+        return cls(replace(grid, states=states), distance)
 
     def is_clear(self, clearance_m: float) -> Mask:
         """Return the cells (X, Y, Z) with a clearance [m]."""

@@ -31,7 +31,9 @@ class LatticePath:
     """Number of cells whose neighbours were looked at."""
 
 
-def shortest_path(is_clear: Mask, start: Integers, goal: Integers, max_expansions: int) -> LatticePath:
+def shortest_path(
+    is_clear: Mask, start: Integers, goal: Integers, max_expansions: int, through_faces: bool = False
+) -> LatticePath:
     """Return the shortest path of steps to the 26 neighbours through clear cells.
 
     Args:
@@ -39,11 +41,13 @@ def shortest_path(is_clear: Mask, start: Integers, goal: Integers, max_expansion
         start: (3,) Index of the first cell, which is clear.
         goal: (3,) Index of the last cell, which is clear.
         max_expansions: The search ends without a path when it has expanded more cells.
+        through_faces: Whether steps lead to the 6 neighbours that share a face alone.
     """
     padded = np.pad(is_clear, 1)
     flat, shape = padded.reshape(-1), np.array(padded.shape)
     strides = np.array([shape[1] * shape[2], shape[2], 1])
-    offsets = _STEPS @ strides
+    steps, lengths = (_STEPS[_LENGTHS == 1.0], np.ones(6)) if through_faces else (_STEPS, _LENGTHS)
+    offsets = steps @ strides
     first, last = int((start + 1) @ strides), int((goal + 1) @ strides)
     cost = np.full(flat.shape, np.inf)
     cost[first] = 0.0
@@ -59,7 +63,7 @@ def shortest_path(is_clear: Mask, start: Integers, goal: Integers, max_expansion
         if expansions > max_expansions:
             return LatticePath(None, expansions)
         heads = (cells[:, None] + offsets).reshape(-1)
-        costs = (cost[cells][:, None] + _LENGTHS).reshape(-1)
+        costs = (cost[cells][:, None] + lengths).reshape(-1)
         better = flat[heads] & (costs < cost[heads] - _TOLERANCE)
         heads, costs = heads[better], costs[better]
         np.minimum.at(cost, heads, costs)
@@ -70,7 +74,7 @@ def shortest_path(is_clear: Mask, start: Integers, goal: Integers, max_expansion
             buckets.setdefault(each, []).append(heads[number == each])
     if not np.isfinite(cost[last]):
         return LatticePath(None, expansions)
-    return LatticePath(_traced(cost, first, last, offsets, strides), expansions)
+    return LatticePath(_traced(cost, first, last, offsets, lengths, strides), expansions)
 
 
 def _remaining(from_goal: Integers) -> Array:
@@ -79,11 +83,11 @@ def _remaining(from_goal: Integers) -> Array:
     return np.asarray(far + (np.sqrt(2.0) - 1.0) * middle + (np.sqrt(3.0) - np.sqrt(2.0)) * near)
 
 
-def _traced(cost: Array, first: int, last: int, offsets: Integers, strides: Integers) -> Integers:
+def _traced(cost: Array, first: int, last: int, offsets: Integers, lengths: Array, strides: Integers) -> Integers:
     """Return the path (M, 3) from the first to the last cell down the costs (N,) of the cells."""
     path = [last]
     while path[-1] != first:
         before = path[-1] + offsets
-        path.append(int(before[np.argmin(cost[before] + _LENGTHS)]))
+        path.append(int(before[np.argmin(cost[before] + lengths)]))
     i, rest = np.divmod(np.array(path[::-1]), strides[0])
     return np.stack([i, *np.divmod(rest, strides[1])], axis=-1) - 1

@@ -3,6 +3,7 @@
 A plan is a trajectory inside free boxes around a route through the local map, with a turn toward where it leads next.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,14 +12,16 @@ from scipy import ndimage
 from dronevio.autonomy.body import Body
 from dronevio.autonomy.corridor import Corridor, corridor_along
 from dronevio.autonomy.known_space import LocalSpace
+from dronevio.autonomy.lattice_search import shortest_path
 from dronevio.autonomy.route import NoRoute, route
 from dronevio.autonomy.trajectory import CorridorTrajectory, corridor_trajectory
-from dronevio.models.arrays import Array
+from dronevio.models.arrays import Array, Mask
 from dronevio.sim.paths.limits import Limits
 
 _REACH_M = 2.0  # of the boxes of a corridor
 _STEP_M = 0.1  # between samples of a path
 _SPARE_M = (0.2, 0.1, 0.0)  # clearance of the route beyond that of the corridor, tried in turn
+_MAX_EXPANSIONS = 100_000
 _NEIGHBOURS = np.ones((3, 3, 3), np.bool_)
 
 
@@ -61,18 +64,26 @@ def trajectory_along(
     reachable[inside] = parts[tuple(cells[inside].T)] == own
     if not reachable.any():
         return None
-    target = path[int(np.flatnonzero(reachable)[-1])]
-    for spare_m in _SPARE_M:
-        found = route(space.grid, space.distance, start[0], target, clearance_m=body.radius_m + spare_m, near_m=0.5)
-        if isinstance(found, NoRoute):
-            continue
-        corridor = corridor_along(space.grid, clear, found.waypoints, _REACH_M)
-        if corridor is None:
-            continue
-        trajectory = corridor_trajectory(corridor, start, found.waypoints[-1], limits)
+    last = int(np.flatnonzero(reachable)[-1])
+    for way in _ways(space, clear, start[0], path[last], body):
+        corridor = corridor_along(space.grid, clear, way, _REACH_M)
+        trajectory = None if corridor is None else corridor_trajectory(corridor, start, way[-1], limits)
         if trajectory is not None:
             return trajectory
     return None
+
+
+def _ways(space: LocalSpace, clear: Mask, start: Array, target: Array, body: Body) -> Iterator[Array]:
+    """Yield polylines (N, 3) from a start to a target through clear cells, those with the most room first."""
+    for spare_m in _SPARE_M:
+        found = route(space.grid, space.distance, start, target, clearance_m=body.radius_m + spare_m, near_m=0.5)
+        if not isinstance(found, NoRoute):
+            yield found.waypoints
+    # Through a gap that is hardly wider than the body, diagonal steps may leave no room for boxes.
+    ends = space.grid.cells(np.stack([start, target]))
+    cells = shortest_path(clear, ends[0], ends[1], _MAX_EXPANSIONS, through_faces=True).cells
+    if cells is not None:
+        yield np.concatenate([start[None], space.grid.centres(cells)])
 
 
 def stop(space: LocalSpace, start: Array, body: Body, limits: Limits) -> CorridorTrajectory:

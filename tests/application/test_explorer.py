@@ -1,0 +1,327 @@
+"""Flights through unknown space: turns, courses, known space, paths and decisions."""
+
+from dataclasses import replace
+from math import pi, remainder
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dronevio.autonomy.body import Body
+from dronevio.autonomy.decided_course import DecidedCourse, Motion
+from dronevio.autonomy.exploration import exploration_scenario, explore
+from dronevio.autonomy.explorer import Explorer
+from dronevio.autonomy.goal_path import path_to_goal
+from dronevio.autonomy.heading import Turn
+from dronevio.autonomy.known_space import LocalSpace, around, with_free_column
+from dronevio.autonomy.local_plan import at_rest, braking, sampled, slowed, stop, straight, trajectory_along
+from dronevio.autonomy.ray_sensing import DriftingOdometry, RayCameras, RaySensing
+from dronevio.autonomy.route import NoRoute, Route
+from dronevio.models.arrays import Array
+from dronevio.models.errors import ConfigError
+from dronevio.models.imu import ImuSamples
+from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from dronevio.models.rotation import pose_matrix, rotation_z
+from dronevio.models.state import CameraFrame, Estimate, NavState
+from dronevio.sim.closed_loop.flight import fly_closed_loop
+from dronevio.sim.flight import Flight
+from dronevio.sim.paths.limits import Limits
+
+BODY = Body(0.45, 0.35, 0.2)
+LIMITS = Limits(speed_m_s=2.0, accel_m_s2=3.0)
+INTERVAL_NS = 5_000_000
+angles = st.floats(-7.0, 7.0)
+rates = st.floats(-1.5, 1.5)
+
+
+@given(angles, rates, angles)
+def test_turn_reaches_the_heading_at_rest_within_its_bounds(yaw: float, rate: float, target: float) -> None:
+    turn = Turn.toward(yaw, rate, target, 1.5, 3.0)
+    t = np.arange(0.0, turn.duration_s + 0.02, 1e-3)
+    yaws, yaw_rates = turn.at(t)
+    assert yaws[0] == pytest.approx(yaw) and yaw_rates[0] == pytest.approx(rate, abs=0.01)
+    assert abs(remainder(yaws[-1] - target, 2 * pi)) < 1e-6 and yaw_rates[-1] == 0.0
+    assert np.abs(yaw_rates).max() <= 1.5 + 1e-9
+    assert np.abs(np.diff(yaw_rates)).max() <= 3.0 * 1e-3 + 1e-6
+    np.testing.assert_allclose(np.diff(yaws), 0.5e-3 * (yaw_rates[1:] + yaw_rates[:-1]), atol=5e-6)
+    assert abs(yaws[-1] - (yaw + rate * abs(rate) / 6.0)) <= pi + 1e-6  # the shorter way from where it can stop
+
+
+def test_turn_by_hand() -> None:
+    """Half a turn at 1 rad/s and 2 rad/s²: half a second to the rate, (π - 0.5) s at it, half a second to rest."""
+    turn = Turn(0.0, 0.0, pi, 1.0, 2.0)
+    assert turn.duration_s == pytest.approx(pi + 0.5)
+    yaws, yaw_rates = turn.at(np.array([0.5, 1.5, pi]))
+    np.testing.assert_allclose(yaws, [0.25, 1.25, pi - 0.25], atol=1e-12)
+    np.testing.assert_allclose(yaw_rates, 1.0)
+
+
+def course_of(*motions: Motion) -> DecidedCourse:
+    course = DecidedCourse(np.zeros(3), 0.0, INTERVAL_NS, 60_000_000_000)
+    for motion in motions:
+        course.follow(motion)
+    return course
+
+
+def motion_to(end: Array, begins_ns: int = 0, start: Array | None = None) -> Motion:
+    return Motion.of(
+        straight(np.zeros(3) if start is None else start, end, 1.0),
+        Turn(0.0, 0.0, 1.0, 1.5, 3.0),
+        begins_ns,
+        INTERVAL_NS,
+    )
+
+
+def test_course_stands_flies_and_holds_the_end() -> None:
+    course = course_of(motion_to(np.array([0.0, 0.0, 1.0]), 1_000_000_000))
+    assert not course.point(0).flying and not course.point(995_000_000).flying
+    assert course.point(1_000_000_000).flying
+    later = course.point(50_000_000_000)
+    np.testing.assert_allclose(later.position_m, [0.0, 0.0, 1.0], atol=1e-6)
+    np.testing.assert_array_equal(later.velocity_m_s, np.zeros(3))
+    assert later.yaw_rad == pytest.approx(1.0)
+    course.stop_rotors(55_000_000_000)
+    assert course.point(54_995_000_000).flying and not course.point(55_000_000_000).flying
+
+
+def test_motion_is_consistent_in_its_derivatives() -> None:
+    motion = motion_to(np.array([1.0, 2.0, 0.5]))
+    p, v, a, j = np.moveaxis(motion.states, 1, 0)
+    for value, rate in ((p, v), (v, a), (a, j)):
+        np.testing.assert_allclose(np.diff(value, axis=0) / 5e-3, 0.5 * (rate[1:] + rate[:-1]), atol=5e-3)
+    # The body rates turn the flat attitude: for a motion without acceleration, the rate of the heading alone.
+    still = Motion.of(at_rest(np.zeros(3)), Turn(0.0, 0.0, 2.0, 1.5, 3.0), 0, INTERVAL_NS)
+    np.testing.assert_allclose(still.rate_rad_s[:, 2], still.yaw_rate_rad_s, atol=1e-2)
+    np.testing.assert_allclose(still.rate_rad_s[:, :2], 0.0, atol=1e-9)
+
+
+def test_a_new_motion_from_the_planned_state_leaves_no_step() -> None:
+    course = course_of(motion_to(np.array([3.0, 0.0, 0.0])))
+    begins_ns = 1_200_000_000
+    state, yaw, rate = course.planned(begins_ns)
+    course.follow(Motion.of(braking(state, LIMITS), Turn.toward(yaw, rate, -1.0, 1.5, 3.0), begins_ns, INTERVAL_NS))
+    points = [course.point(t) for t in range(0, 4_000_000_000, INTERVAL_NS)]
+    p, v, a = (np.array([getattr(each, name) for each in points]) for name in points[0]._fields[:3])
+    assert np.abs(np.diff(p, axis=0)).max() < 2.0 * 5e-3
+    assert np.abs(np.diff(v, axis=0)).max() < 1.05 * np.abs(a).max() * 5e-3
+    assert np.abs(np.diff(a, axis=0)).max() < 0.3  # the jerk is bounded, too
+    assert np.abs(np.diff([each.yaw_rad for each in points])).max() < 1.6 * 5e-3
+
+
+def test_later_decisions_replace_earlier_ones() -> None:
+    first, second = motion_to(np.array([1.0, 0.0, 0.0]), 100 * INTERVAL_NS), motion_to(np.array([0.0, 1.0, 0.0]))
+    course = course_of(first, replace(second, begins_ns=50 * INTERVAL_NS))
+    np.testing.assert_allclose(course.point(10_000 * INTERVAL_NS).position_m, [0.0, 1.0, 0.0], atol=1e-6)
+
+
+def grid_of(free: tuple[slice, ...], shape: tuple[int, int, int] = (60, 40, 20)) -> OccupancyGrid:
+    states = np.full(shape, UNKNOWN, np.uint8)
+    states[free] = FREE
+    return OccupancyGrid(np.zeros(3), 0.1, states)
+
+
+def test_margins_are_kept_from_surfaces_and_the_bare_body_from_the_unknown() -> None:
+    """Free for x from 1 to 5 m; a wall of surfaces at the far end in the second grid."""
+    grid = grid_of((slice(10, 50), slice(None), slice(None)))
+    at = np.array([[1.25, 2.0, 1.0], [1.35, 2.0, 1.0], [1.45, 2.0, 1.0]])  # cells 12, 13, 14; the last unknown one is 9
+    clearances = LocalSpace.of(grid, BODY).clearances(at)
+    np.testing.assert_allclose(clearances, [0.4, 0.5, 0.6], atol=1e-6)  # 0.3, 0.4, 0.5 m and the margin of 0.1 m
+    states = grid.states.copy()
+    states[9] = OCCUPIED
+    walled = LocalSpace.of(replace(grid, states=states), BODY)
+    np.testing.assert_allclose(walled.clearances(at), [0.3, 0.4, 0.5], atol=1e-6)
+
+
+@pytest.mark.parametrize(("thickness", "passes"), [(1, True), (2, False)])
+def test_unknown_gaps_of_one_cell_are_passed(thickness: int, passes: bool) -> None:
+    grid = grid_of((slice(1, 59), slice(1, 39), slice(1, 19)))
+    grid.states[30 : 30 + thickness] = UNKNOWN
+    space = LocalSpace.of(grid, BODY)
+    path = np.linspace([1.0, 2.0, 1.0], [5.0, 2.0, 1.0], 41)
+    start = np.vstack([path[:1], np.zeros((3, 3))])
+    trajectory = trajectory_along(space, path, start, BODY, LIMITS)
+    assert trajectory is not None
+    end = trajectory.control_points[-1, -1, 0]
+    assert (end > 4.5) if passes else (end < 2.7)
+
+
+def test_trajectory_goes_as_far_as_is_known_and_stays_clear() -> None:
+    grid = grid_of((slice(1, 40), slice(1, 39), slice(1, 19)))
+    grid.states[20, :22] = OCCUPIED
+    space = LocalSpace.of(grid, BODY)
+    path = np.linspace([1.0, 1.0, 1.0], [5.5, 3.0, 1.0], 50)
+    start = np.vstack([path[:1], np.zeros((3, 3))])
+    trajectory = trajectory_along(space, path, start, BODY, LIMITS)
+    assert trajectory is not None
+    points = trajectory.path(np.linspace(0.0, trajectory.duration_s, 300))
+    assert space.clearances(points).min() >= BODY.radius_m - 1e-6
+    assert 3.2 < points[-1, 0] < 3.7  # the free space ends at 4 m
+    np.testing.assert_allclose(trajectory.state(trajectory.duration_s)[1:], 0.0, atol=1e-6)
+    walled = grid.states.copy()
+    walled[20] = OCCUPIED
+    assert trajectory_along(LocalSpace.of(replace(grid, states=walled), BODY), path[30:], start, BODY, LIMITS) is None
+
+
+def test_stop_ends_before_the_obstacle_ahead() -> None:
+    grid = grid_of((slice(1, 59), slice(1, 39), slice(1, 19)))
+    grid.states[32:] = OCCUPIED
+    space = LocalSpace.of(grid, BODY)
+    start = np.array([[1.5, 2.0, 1.0], [1.8, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    trajectory = stop(space, start, BODY, LIMITS)
+    points = trajectory.path(np.linspace(0.0, trajectory.duration_s, 100))
+    assert space.clearances(points).min() >= BODY.radius_m - 1e-6
+    np.testing.assert_allclose(trajectory.state(trajectory.duration_s)[1:], 0.0, atol=1e-6)
+
+
+def test_slowed_trajectory_has_the_same_path() -> None:
+    fast = straight(np.zeros(3), np.array([1.0, 0.0, 0.0]), 1.0)
+    slow = slowed(fast, 3.0 * fast.duration_s)
+    assert slow.duration_s == pytest.approx(3.0 * fast.duration_s)
+    np.testing.assert_allclose(slow.path(1.5 * fast.duration_s), fast.path(0.5 * fast.duration_s), atol=1e-9)
+    assert slowed(fast, 0.1).duration_s == fast.duration_s
+
+
+def test_sampled_path_begins_at_the_nearest_point() -> None:
+    path = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]])
+    points = sampled(path, np.array([0.52, 0.3, 0.0]), 0.8)
+    np.testing.assert_allclose(points[0], [0.5, 0.0, 0.0], atol=1e-9)
+    assert 0.8 <= np.linalg.norm(np.diff(points, axis=0), axis=1).sum() <= 1.0
+    np.testing.assert_allclose(sampled(path, path[0])[-1], path[-1], atol=1e-9)
+
+
+def test_column_frees_the_unknown_alone() -> None:
+    grid = grid_of((slice(0, 0),) * 3)
+    grid.states[30, 20, 5] = OCCUPIED
+    column = with_free_column(grid, np.array([3.05, 2.05, 0.05]), 0.5, 1.0)
+    assert column.states[30, 20, 5] == OCCUPIED and column.states[33, 20, 9] == FREE
+    assert column.states[36, 20, 5] == UNKNOWN and column.states[30, 20, 15] == UNKNOWN
+    assert (grid.states == FREE).sum() == 0
+    free = grid.centres(np.argwhere(column.states == FREE))
+    assert np.hypot(*(free - [3.05, 2.05, 0.0])[:, :2].T).max() <= 0.5
+
+
+def test_around_covers_the_body() -> None:
+    points = around(np.zeros((1, 3)), BODY, 0.1)
+    assert np.hypot(points[:, 0], points[:, 1]).max() == pytest.approx(0.45, abs=0.06)
+    assert np.abs(points[:, 2]).max() == pytest.approx(0.2)
+
+
+def walled_map(gap: slice | None) -> OccupancyGrid:
+    """Return a map in which the wall x = 3 m is known from y = 0 to 6 m, but for a gap."""
+    states = np.full((60, 60, 26), UNKNOWN, np.uint8)
+    states[:29] = FREE
+    states[30] = OCCUPIED
+    if gap is not None:
+        states[30, gap] = UNKNOWN
+    return OccupancyGrid(np.zeros(3), 0.1, states, "map")
+
+
+def test_path_leads_through_unknown_space_and_around_what_is_known() -> None:
+    start, goal = np.array([1.0, 3.0, 1.2]), np.array([5.0, 3.0, 1.2])
+    through = path_to_goal(walled_map(slice(24, 36)), start, goal, BODY, (0.5, 2.0), np.zeros((0, 3)))
+    assert isinstance(through, Route) and through.length_m == pytest.approx(4.0, abs=0.05)
+    past = path_to_goal(walled_map(None), start, goal, BODY, (0.5, 2.0), np.zeros((0, 3)))
+    assert isinstance(past, Route) and past.length_m > 2 * np.hypot(2.0, 3.3)
+    assert past.waypoints[:, 2].min() >= 0.5 and past.waypoints[:, 2].max() <= 2.0
+
+
+def test_what_was_given_up_blocks_until_it_is_seen_to_be_free() -> None:
+    start, goal = np.array([1.0, 3.0, 1.2]), np.array([5.0, 3.0, 1.2])
+    y, z = np.meshgrid(np.arange(2.45, 3.6, 0.1), np.arange(0.05, 2.6, 0.1))
+    given_up = np.stack([np.full(y.size, 3.05), y.ravel(), z.ravel()], axis=-1)
+    known = walled_map(slice(24, 36))
+    past = path_to_goal(known, start, goal, BODY, (0.5, 2.0), given_up)
+    assert isinstance(past, Route) and past.length_m > 6.0
+    known.states[30, 24:36] = FREE
+    through = path_to_goal(known, start, goal, BODY, (0.5, 2.0), given_up)
+    assert isinstance(through, Route) and through.length_m < 4.1
+
+
+def test_there_is_no_path_into_a_closed_room() -> None:
+    states = np.full((60, 60, 26), FREE, np.uint8)
+    states[20:41, 20:41] = OCCUPIED
+    states[21:40, 21:40] = UNKNOWN
+    known = OccupancyGrid(np.zeros(3), 0.1, states, "map")
+    found = path_to_goal(
+        known, np.array([1.0, 3.0, 1.2]), np.array([3.0, 3.0, 1.2]), BODY, (0.5, 2.0), np.zeros((0, 3))
+    )
+    assert isinstance(found, NoRoute) and found.cause == "goal"
+
+
+def test_arguments_are_checked() -> None:
+    with pytest.raises(ConfigError, match="'attic' to explore"):
+        exploration_scenario("attic")
+    with pytest.raises(ConfigError, match="three finite numbers"):
+        explore("room", (1.0, float("nan"), 0.0), without_images=RaySensing())
+    assert exploration_scenario("room-easy", 3).world == "room"
+
+
+@pytest.fixture(scope="module")
+def in_room() -> Flight:
+    found = explore("room", (2.0, -1.5, 1.2), without_images=RaySensing(), longest_s=40.0)
+    assert found.scores.outcome == "reached" and not found.scores.collided
+    assert found.scores.distance_to_goal_m < 0.4 and found.scores.ate_m is not None
+    assert found.scores.path_m < 1.3 * found.scores.shortest_m
+    return found.flight
+
+
+def test_flight_to_a_goal_is_deterministic(in_room: Flight) -> None:
+    again = explore("room", (2.0, -1.5, 1.2), without_images=RaySensing(), longest_s=40.0)
+    np.testing.assert_array_equal(again.flight.truth.p_world_imu, in_room.truth.p_world_imu)
+
+
+def test_goal_behind_walls_is_unreachable_and_the_vehicle_returns_home() -> None:
+    found = explore("room", (9.0, 0.0, 1.2), without_images=RaySensing(), longest_s=90.0)
+    assert found.scores.outcome == "unreachable" and not found.scores.collided
+    home = found.flight.truth.p_world_imu[-1]
+    assert np.linalg.norm(home[:2]) < 0.3 and home[2] < 0.3
+
+
+class Jumping:
+    """An odometry whose correction by the map jumps at a time; implements `Estimator`."""
+
+    def __init__(self, odometry: DriftingOdometry, t_ns: int) -> None:
+        self._odometry, self._t_ns = odometry, t_ns
+
+    def add_imu(self, samples: ImuSamples) -> None:
+        self._odometry.add_imu(samples)
+
+    def add_frame(self, frame: CameraFrame) -> Estimate:
+        estimate = self._odometry.add_frame(frame)
+        jump = pose_matrix(rotation_z(np.deg2rad(10.0)), np.array([0.8, 0.6, 0.0]))
+        return replace(estimate, T_map_odom=jump if frame.t_ns >= self._t_ns else np.eye(4))
+
+    def state_at(self, t_ns: int) -> NavState | None:
+        return self._odometry.state_at(t_ns)
+
+
+def flown_with_jump(t_ns: int) -> tuple[Flight, Explorer]:
+    """Fly to a goal in a room of the office, with a correction of 1 m and 10° at a time."""
+    scenario = exploration_scenario("office", 0)
+    cameras = RayCameras(scenario.world, 0, scenario.rig, 0)
+    pilot = Explorer(np.array([-0.35, -7.55, 1.25]), 45.0, source=cameras)
+    odometry = Jumping(DriftingOdometry(cameras, 0), t_ns)
+    return fly_closed_loop(scenario, odometry, cameras, pilot=pilot), pilot
+
+
+@pytest.mark.slow
+def test_a_correction_in_a_doorway_neither_jerks_the_vehicle_nor_makes_it_touch() -> None:
+    calm, _ = flown_with_jump(10**12)
+    assert calm.collision is None
+    position = calm.truth.p_world_imu
+    door = _door_passed(position)
+    corrected, pilot = flown_with_jump(int(calm.truth.t_ns[door]))
+    assert corrected.collision is None and pilot.outcome is not None
+    for flight in (calm, corrected):
+        reference = flight.reference
+        assert np.abs(np.diff(reference.position_m, axis=0)).max() < 2.2 * 5e-3
+        assert np.abs(np.diff(reference.velocity_m_s, axis=0)).max() < 6.0 * 5e-3
+        assert np.abs(np.diff(reference.acceleration_m_s2, axis=0)).max() < 0.5
+        assert np.abs(np.diff(np.unwrap(reference.yaw_rad))).max() < 1.6 * 5e-3
+    assert np.any(np.abs(corrected.truth.p_world_imu[-1] - calm.truth.p_world_imu[-1]) > 0.3)  # the goal has moved
+
+
+def _door_passed(position: Array) -> int:
+    """Return the row at which a path (N, 3) passes from the south corridor into a room of the strip."""
+    return int(np.argmax(position[:, 1] < -4.27))
