@@ -96,7 +96,9 @@ class ExploredFlight:
     name: str
     """Name of the flight."""
     outcome: str
-    """How it ended, in words."""
+    """What the drone did, in words."""
+    collision: str | None
+    """What touched what, and when; None without a collision."""
     scores: ExplorationScores
     """How it ended, in figures."""
     pad_m: Array

@@ -35,7 +35,8 @@ def explored_flight(exploration: Exploration) -> ExploredFlight:
     stages = ("depth", settings.depth_latency_s), ("map", settings.map_latency_s), ("plan", settings.plan_latency_s)
     return ExploredFlight(
         name=f"{scenario.name}, seed {scenario.seed}",
-        outcome=outcome_text(e),
+        outcome=OUTCOMES[e.scores.outcome],
+        collision=None if e.flight.collision is None else str(e.flight.collision),
         scores=e.scores,
         pad_m=pad_m,
         goal_m=e.goal_m,
@@ -50,12 +51,6 @@ def explored_flight(exploration: Exploration) -> ExploredFlight:
         heights_m=(float(pad_m[2] + settings.lowest_m), float(pad_m[2] + settings.highest_m)),
         true_map=true_map(solid_space(scenario.world, scenario.seed_of_world)),
     )
-
-
-def outcome_text(exploration: Exploration) -> str:
-    """Return how a flight ended, in words; of a collision, what touched what."""
-    collision = exploration.flight.collision
-    return OUTCOMES[exploration.scores.outcome] if collision is None else str(collision)
 
 
 def document(exploration: Exploration, flight: ExploredFlight) -> dict[str, object]:
@@ -81,7 +76,7 @@ def document(exploration: Exploration, flight: ExploredFlight) -> dict[str, obje
         "pad_m": flight.pad_m.tolist(),
         "goal_m": e.goal_m.tolist(),
         **scores,
-        "outcome_text": flight.outcome,
+        "outcome_text": flight.collision or flight.outcome,
         "plans": len(e.plans),
         "costs": costs,
         "decisions": decisions,

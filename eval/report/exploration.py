@@ -5,7 +5,7 @@
     format         "dronevio-exploration-report/1"
     title, command, open_command               as in `RunInfo`
     scenario, seed, world, pad_m, goal_m       what was flown
-    outcome, …                                 the scores, and `outcome_text`, the outcome in words
+    outcome, …                                 the scores, and `outcome_text`, what the drone did
     plans                                      number of plans
     costs                                      of depth, map and plan: declared latency, and processor times
     decisions                                  time of the flight, text and place in the world
@@ -19,7 +19,7 @@ from pathlib import Path
 from dronevio.eval.exploration import ExplorationScores, ExploredFlight
 from dronevio.eval.metrics.metric import DASH
 from dronevio.eval.provenance import RunInfo
-from dronevio.eval.report.exploration_plots import plot_goal_distance, plot_heights, plot_map, plot_speed
+from dronevio.eval.report.exploration_plots import plot_error, plot_goal_distance, plot_heights, plot_map, plot_speed
 from dronevio.eval.report.tables import Cell, Table
 from dronevio.eval.report.templating import Tile, number, render_page
 from dronevio.models.recordings.files import write_text
@@ -86,10 +86,10 @@ def _page(info: RunInfo, flight: ExploredFlight) -> str:
     return render_page(
         "exploration.html.j2",
         info.title,
-        f"The drone {flight.outcome}.",
+        f"The drone {flight.collision or flight.outcome}.",
         tiles=list(_tiles(flight.scores)),
         map=None if flight.occupancy is None else plot_map(flight, flight.occupancy),
-        plots=[plot_heights(flight), plot_speed(flight), plot_goal_distance(flight)],
+        plots=[plot_heights(flight), plot_speed(flight), plot_goal_distance(flight), plot_error(flight)],
         decisions=_decisions(flight),
         costs=Table("Costs", COST_COLUMNS, costs),
         scores=Table("Scores", ("quantity", "value"), scores),

@@ -131,6 +131,20 @@ def _draw_true_walls(ax: Axes, grid: OccupancyGrid, z_m: float) -> None:
         ax.contour(x, y, occupied.T.astype(float), levels=[0.5], colors=_PALE, linewidths=0.6, alpha=0.7)
 
 
+def plot_error(flight: ExploredFlight) -> Markup:
+    """Return the distance of the estimated from the true position over time, both in the frame of the world."""
+
+    def draw(ax: Axes) -> None:
+        estimate, truth = flight.estimate, flight.truth
+        if len(estimate):
+            true = [np.interp(estimate.t_ns, truth.t_ns, axis) for axis in truth.p_world_imu.T]
+            error_m = np.linalg.norm(estimate.p_world_imu - np.stack(true, axis=1), axis=1)
+            _draw_over_time(ax, flight, estimate, error_m, "estimate", colours.ESTIMATE, 1.2)
+        _finish(ax, flight, "Error of the estimated position over time", "error [m]")
+
+    return svg_plot(_TIME_SIZE_IN[1], draw, "distance of estimated and true position", _TIME_SIZE_IN[0])
+
+
 def _draw_places(ax: Axes, flight: ExploredFlight) -> None:
     """Draw pad, goal and the numbered places of the decisions."""
     for (x, y, _), marker, size, label in ((flight.pad_m, "s", 8.0, "pad"), (flight.goal_m, "*", 13.0, "goal")):
@@ -142,7 +156,7 @@ def _draw_places(ax: Axes, flight: ExploredFlight) -> None:
 
 
 def _labels(decisions: Sequence[TimedDecision]) -> list[tuple[str, tuple[float, float, float]]]:
-    """Return numbers and places of decisions, those of one place together: the first, and the last if there are more."""
+    """Return labels and places of decisions: their numbers, from the first to the last of those at one place."""
     groups: list[list[int]] = []
     for i, each in enumerate(decisions):
         is_same = groups and np.hypot(*np.subtract(each.position_m, decisions[groups[-1][0]].position_m)[:2]) < _PLACE_M

@@ -42,16 +42,17 @@ DECISIONS, DECISION_PLACES = "decisions", f"{TRUTH}/decisions"
 SPEED, HEIGHT = "speed", "height"
 """Paths of the plots."""
 _GOAL_RADIUS_M, _PAD_HALF_M = 0.15, (0.3, 0.3, 0.02)
+_AROUND_M = np.array([2.5, 2.5, 0.0])  # around the places that the 3D view shows
+_ELEVATION_DEG = 55.0
 _MAX_POINTS = 1500  # of a drawn path: the truth has 200 poses per second
 
 
 class ExplorationLog:
     """Logs a flight through an unknown world while it is flown."""
 
-    def __init__(self, sink: Sink, has_images: bool) -> None:
-        """Take the output, and whether the depth images belong to camera images."""
-        self._sink, self._has_images = sink, has_images
-        self._map = DenseMapLog(sink)
+    def __init__(self, sink: Sink) -> None:
+        """Take the output."""
+        self._sink, self._map = sink, DenseMapLog(sink)
 
     def depth(self, depth: DepthImage, estimate: Estimate, submaps: Callable[[], Sequence[PlacedSubmap]]) -> None:
         """Add a depth image; see `DenseMapLog.depth`."""
@@ -75,8 +76,6 @@ class ExplorationLog:
         self._log_plans(flight)
         self._log_decisions(flight)
         self._log_plots(flight, drawn)
-        points = np.concatenate([drawn.p_world_imu, flight.goal_m[None], flight.pad_m[None]])
-        self._sink.layout(_blueprint(self._has_images, points @ T[:3, :3].T + T[:3, 3]))
 
     def _log_places(self, flight: ExploredFlight) -> None:
         """Log pad and goal."""
@@ -131,43 +130,47 @@ class ExplorationLog:
 
 
 @contextmanager
-def exploration_file(path: Path, name: str, *, has_images: bool = True) -> Iterator[ExplorationLog]:
+def exploration_file(path: Path, name: str, places_m: Array, *, has_images: bool = True) -> Iterator[ExplorationLog]:
     """Open the rerun file of a flight, which is complete when the context is left.
 
     Args:
         path: File to write, with the suffix ``.rrd``.
         name: Name of the flight.
+        places_m: (N, 3) Places in the world that the 3D view shows with their surroundings, such as pad and goal [m].
         has_images: Whether the depth images belong to camera images.
     """
-    with Sink.to_file(path, name, _blueprint(has_images), 0) as sink:
-        yield ExplorationLog(sink, has_images)
+    with Sink.to_file(path, name, _blueprint(has_images, places_m), 0) as sink:
+        yield ExplorationLog(sink)
 
 
 @contextmanager
 def exploration_viewer(url: str, name: str, *, has_images: bool = True) -> Iterator[ExplorationLog]:
     """Show a flight in a viewer at a URL such as ``rerun+http://127.0.0.1:9876/proxy`` while it is flown."""
     with Sink.to_viewer(url, name, _blueprint(has_images, is_live=True), 0) as sink:
-        yield ExplorationLog(sink, has_images)
+        yield ExplorationLog(sink)
 
 
-def _blueprint(has_images: bool, points: Array | None = None, *, is_live: bool = False) -> rrb.Blueprint:
+def _blueprint(has_images: bool, places_m: Array | None = None, *, is_live: bool = False) -> rrb.Blueprint:
     """Return the layout: map, plan and paths beside image, depth, decisions and plots.
 
     Args:
         has_images: Whether there are camera images.
-        points: (N, 3) Points that the 3D view shows, in the frame of the map [m]; all if None.
+        places_m: (N, 3) Places in the world that the 3D view shows with their surroundings [m]; everything if None.
         is_live: Whether the view follows the newest time.
     """
     cursor = rrb.TimeRangeBoundary.cursor_relative()
     so_far = rrb.VisibleTimeRanges(timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=cursor)
     hidden = rrb.EntityBehavior(visible=False)
     eye = None
-    if points is not None:
-        position, target = fit_view(points, elevation_deg=60.0)
+    if places_m is not None:
+        low, high = places_m.min(axis=0) - _AROUND_M, places_m.max(axis=0) + _AROUND_M
+        corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij"), axis=-1).reshape(-1, 3)
+        position, target = fit_view(corners, elevation_deg=_ELEVATION_DEG, aspect=1.15)
         kind = rrb.Eye3DKind.Orbital
         eye = rrb.EyeControls3D(kind=kind, position=position, look_target=target, eye_up=[0.0, 0.0, 1.0])
     growing = rrb.Spatial3DView(
-        origin=WORLD,
+        origin=TRUTH,
+        contents=f"/{WORLD}/**",
         name="Map: occupied cells by height; plan (orange), route (purple), truth (green), estimate (red)",
         eye_controls=eye,
         line_grid=False,
@@ -178,7 +181,7 @@ def _blueprint(has_images: bool, points: Array | None = None, *, is_live: bool =
     images.append(rrb.Spatial2DView(origin=DEPTH, name="Depth: near (red) to far (blue)"))
     right = rrb.Vertical(
         *images,
-        rrb.TextLogView(origin=DECISIONS, name="Decisions"),
+        rrb.TextLogView(origin=DECISIONS, name="Decisions", columns=rrb.TextLogColumns(text_log_columns=["Body"])),
         rrb.TimeSeriesView(origin=SPEED, name="Speed [m/s]"),
         rrb.TimeSeriesView(origin=HEIGHT, name="Height [m]"),
         row_shares=[1.2] * len(images) + [0.8, 0.7, 0.7],

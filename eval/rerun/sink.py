@@ -63,10 +63,6 @@ class Sink:
             stream.flush()
             stream.disconnect()
 
-    def layout(self, blueprint: rrb.Blueprint) -> None:
-        """Replace the layout."""
-        self._stream.send_blueprint(blueprint)
-
     def static(self, entity: str, archetype: rr.AsComponents) -> None:
         """Log data that are valid at all times."""
         self._stream.log(entity, archetype, static=True, strict=True)

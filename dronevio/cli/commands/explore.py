@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+import tyro
+
 from dronevio.cli.imported_settings import ImportedSettings
 from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
@@ -44,10 +46,10 @@ COLLIDED = 3
 
 @dataclass(frozen=True)
 class ExploreCommand(Settings):
-    """Fly to a goal through an unknown world: the drone sees, estimates its motion, maps, plans and flies, without truth.
+    """Fly to a goal through an unknown world on the drone's own estimate: it sees, maps, plans and flies without truth.
 
-    It takes off, looks around, and flies through space that it has seen to be free. The truth draws the goal and scores
-    the flight. Loops correct the map, and with it goal and route, unless --no-slam is given. The flight ends when the
+    The drone takes off, looks around, and flies through space that it has seen to be free. The truth draws the goal and
+    scores the flight. Loops correct the map, and with it goal and route, unless --no-slam is given. The flight ends when the
     goal is reached, when there is no way to it (the drone returns home first), when the estimate or the depth is lost
     (it lands), in a collision, or after --time-s. The exit code is 3 after a collision, and 0 after all others.
 
@@ -71,8 +73,9 @@ class ExploreCommand(Settings):
     list them."""
     seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the world, the goal and the errors of the sensors."""
-    goal: Annotated[tuple[float, float, float] | None, Range(-10_000.0, 10_000.0)] = None
-    """Position of the goal in the frame of the world [m]; by default one behind obstacles, drawn by the seed."""
+    goal: Annotated[tuple[float, ...], Range(-10_000.0, 10_000.0), tyro.conf.arg(metavar="X Y Z")] = ()
+    """Position of the goal in the frame of the world, three numbers [m]; by default one behind obstacles, drawn by the
+    seed."""
     time_s: Annotated[float, Range(1.0, 3600.0)] = 120.0
     """Time after which the flight ends [s]."""
     rig: str = "euroc-stereo"
@@ -112,7 +115,10 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.autonomy.explored_flight import document
     from dronevio.cli.output_files import require_free, reserved_folder
     from dronevio.cli.reservations import reserved, reserved_free_name
+    from dronevio.models.errors import ConfigError
 
+    if len(command.goal) not in (0, 3):
+        raise ConfigError(f"--goal {' '.join(map(str, command.goal))}; expected three numbers, x, y and z")
     scenario = _scenario(command)
     if command.out is not None:
         require_free(command.out, command.output.overwrite)  # before the flight
@@ -160,20 +166,28 @@ def _flown(
     command: ExploreCommand, scenario: "Scenario", folder: Path, bars: "Bars"
 ) -> "tuple[Exploration, ExploredFlight]":
     """Fly, and write the rerun file; return the flight, also as reports show it."""
+    import numpy as np
+
     from dronevio.autonomy.exploration import explore
     from dronevio.autonomy.explored_flight import explored_flight
+    from dronevio.autonomy.goals import drawn_goal
     from dronevio.autonomy.ray_sensing import RaySensing
     from dronevio.eval.rerun.exploration import exploration_file
     from dronevio.recording.surroundings import surroundings_of
+    from dronevio.sim.world import flight_area
 
+    drawn = command.goal or drawn_goal(scenario.world, scenario.seed_of_world, scenario.seed)
+    goal_m = np.array(drawn, np.float64)
+    pad_m = flight_area(scenario.world, scenario.seed_of_world).pad
     surroundings = surroundings_of(scenario.world, scenario.seed_of_world, scenario.light_seed)
     name = f"{scenario.name}, seed {scenario.seed}"
     with ExitStack() as stack:
-        file = stack.enter_context(exploration_file(folder / "run.rrd", name, has_images=command.images))
+        places_m = np.stack([pad_m, goal_m])
+        file = stack.enter_context(exploration_file(folder / "run.rrd", name, places_m, has_images=command.images))
         logs = [file, *stack.enter_context(_viewers(command, name))]
         exploration = explore(
             scenario,
-            command.goal,
+            goal_m.tolist(),
             longest_s=command.time_s,
             settings=command.pilot,
             slam=command.slam,
@@ -287,5 +301,7 @@ def _print(title: str, flight: "ExploredFlight", target: Path) -> None:
 
     print_values(title, [("outcome", flight.outcome, ""), *score_rows(flight.scores)])
     print_table("Processor times beside the latencies of the flight", COST_COLUMNS, cost_rows(flight))
+    if flight.collision is not None:
+        print(f"the flight ended early: the drone {flight.collision}")
     print(f"report:   {target}/report.html")
     print(f"open it:  dronevio view {target}")
