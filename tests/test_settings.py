@@ -76,7 +76,7 @@ def filled(field: NumberField, value: object, settings: Any) -> object:
 
 def test_there_are_settings_in_all_packages() -> None:
     packages = {kind.__module__.split(".")[1] for kind in CLASSES}
-    assert packages == {"models", "estimator", "sim", "eval", "cli", "book"} and len(CLASSES) > 70
+    assert packages == {"models", "estimator", "sim", "eval", "autonomy", "cli", "book"} and len(CLASSES) > 70
 
 
 @pytest.mark.parametrize("kind", CLASSES, ids=lambda kind: kind.__name__)

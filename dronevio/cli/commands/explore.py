@@ -49,9 +49,9 @@ class ExploreCommand(Settings):
     """Fly to a goal through an unknown world on the drone's own estimate: it sees, maps, plans and flies without truth.
 
     The drone takes off, looks around, and flies through space that it has seen to be free. The truth draws the goal and
-    scores the flight. Loops correct the map, and with it goal and route, unless --no-slam is given. The flight ends when the
-    goal is reached, when there is no way to it (the drone returns home first), when the estimate or the depth is lost
-    (it lands), in a collision, or after --time-s. The exit code is 3 after a collision, and 0 after all others.
+    scores the flight. Loops correct the map, and with it goal and route, unless --no-slam is given. The flight ends
+    when the goal is reached, when there is no way to it (the drone returns home first), when the estimate or the depth
+    is lost (it lands), in a collision, or after --time-s. The exit code is 3 after a collision, and 0 after all others.
 
     The result is a folder with report.html, report.json, groundtruth.tum, estimate.tum, occupancy.npz (what is free,
     occupied and unknown), configuration.json, and run.rrd, in which the map grows (for `dronevio view`). The same
