@@ -43,7 +43,7 @@ EXAMPLES: dict[type, Any] = {
 
 def settings_classes() -> list[type]:
     """Return all settings classes, sorted by name."""
-    for folder in ("models", "estimator", "sim", "eval", "cli", "book"):
+    for folder in ("models", "estimator", "sim", "eval", "autonomy", "cli", "book"):
         for file in sorted((PACKAGE / folder).rglob("*.py")):
             if re.search(r"\(Settings\)|\(Navigate\)", file.read_text(encoding="utf-8")):
                 importlib.import_module(".".join(("dronevio", *file.relative_to(PACKAGE).with_suffix("").parts)))

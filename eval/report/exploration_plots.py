@@ -150,12 +150,12 @@ def _draw_places(ax: Axes, flight: ExploredFlight) -> None:
     for (x, y, _), marker, size, label in ((flight.pad_m, "s", 8.0, "pad"), (flight.goal_m, "*", 13.0, "goal")):
         ax.plot(x, y, marker, color=INK, markersize=size, markeredgecolor=_PALE, linestyle="none", label=label)
     box = {"boxstyle": "round,pad=0.2,rounding_size=0.6", "facecolor": _PALE, "edgecolor": _DARK, "linewidth": 0.5}
-    for text, (x, y, _) in _labels(flight.decisions):
+    for text, (x, y, _) in decision_labels(flight.decisions):
         offset = (5.0, 5.0)
         ax.annotate(text, (x, y), offset, textcoords="offset points", fontsize=6.5, color=_DARK, bbox=box)
 
 
-def _labels(decisions: Sequence[TimedDecision]) -> list[tuple[str, tuple[float, float, float]]]:
+def decision_labels(decisions: Sequence[TimedDecision]) -> list[tuple[str, tuple[float, float, float]]]:
     """Return labels and places of decisions: their numbers, from the first to the last of those at one place."""
     groups: list[list[int]] = []
     for i, each in enumerate(decisions):

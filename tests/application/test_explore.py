@@ -1,7 +1,9 @@
 """``dronevio explore`` and ``dv.explore``: files, figures, exit codes, and that the same seed gives the same bytes."""
 
 import json
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -21,6 +23,7 @@ from dronevio.models.occupancy_maps import read_occupancy
 from dronevio.models.recordings.tum import read_tum
 
 Result = Any  # the class of conftest, which cannot be imported
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "explore.md"
 GOAL_M = (1.0, -2.0, 1.0)
 SPEED_M_S = 1.5
 WORDS = ("--scenario", "room", "--no-images", "--time-s", "20", "--goal", *map(str, GOAL_M))
@@ -132,11 +135,16 @@ def test_the_rerun_file_can_be_read_back(flown: Result) -> None:
     assert any(name.startswith(f"{TRUTH}/surroundings/surface") for name in found)
 
 
-def test_the_same_arguments_give_the_same_flight(flown: Result) -> None:
-    """From Python, too."""
-    settings = dv.ExploreSettings(limits=dv.ExploreSettings().limits.__class__(SPEED_M_S, 3.0, 1.5))
-    again = dv.explore("room", GOAL_M, longest_s=20.0, settings=settings, without_images=RaySensing())
-    assert isinstance(again, dv.Exploration) and again.settings is settings and not again.true_pose
+@pytest.fixture(scope="module")
+def again() -> dv.Exploration:
+    """The same flight from Python."""
+    default = dv.ExploreSettings()
+    settings = replace(default, limits=replace(default.limits, speed_m_s=SPEED_M_S))
+    return dv.explore("room", GOAL_M, longest_s=20.0, settings=settings, without_images=RaySensing())
+
+
+def test_the_same_arguments_give_the_same_flight(flown: Result, again: dv.Exploration) -> None:
+    assert again.settings.limits.speed_m_s == SPEED_M_S and not again.true_pose and again.waited_ns == 0
     truth = read_tum(flown.folder / "groundtruth.tum")
     assert truth.p_world_imu.tobytes() == again.flight.truth.p_world_imu.tobytes()
     estimate = read_tum(flown.folder / "estimate.tum")
@@ -149,6 +157,17 @@ def test_the_same_arguments_give_the_same_flight(flown: Result) -> None:
     for plan in flight.plans:
         row = np.searchsorted(flight.truth.t_ns, plan.t_ns)
         assert np.linalg.norm(flight.truth.p_world_imu[row] - plan.positions_m[0]) < 0.4
+
+
+@pytest.mark.skipif(not PAGE.is_file(), reason="not a checkout")
+def test_the_example_of_the_page_prints_what_happened(
+    again: dv.Exploration, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(dv, "explore", lambda world, seed: again)
+    [code] = re.findall(r"^```py\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    exec(compile(code, PAGE.name, "exec"), {})
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[0].startswith("reached 0.") and len(shown) == 1 + len(again.decisions)
 
 
 def test_a_collision_has_an_exit_code_of_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
