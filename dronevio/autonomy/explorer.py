@@ -21,7 +21,16 @@ from dronevio.autonomy.goal_path import path_to_goal
 from dronevio.autonomy.heading import Turn
 from dronevio.autonomy.known_space import LocalSpace, around, with_free_column
 from dronevio.autonomy.landing import landing_place
-from dronevio.autonomy.local_plan import at_rest, braking, sampled, slowed, stop, straight, trajectory_along
+from dronevio.autonomy.local_plan import (
+    at_rest,
+    braking,
+    place_beside,
+    sampled,
+    slowed,
+    stop,
+    straight,
+    trajectory_along,
+)
 from dronevio.autonomy.route import NoRoute
 from dronevio.autonomy.settings import ExploreSettings
 from dronevio.autonomy.trajectory import CorridorTrajectory
@@ -55,10 +64,11 @@ _ASKEW_RAD = radians(50.0)  # between heading and route, from where on the vehic
 _SLOW_M_S = 0.5  # while it turns
 _STILL_M_S = 0.1
 _NEAR_M = 0.25  # from the goal, where it is reached
-_LEAST_STEP_M = 0.15  # of a plan that is worth to be flown
+_LEAST_STEP_M, _PROGRESS_M = 0.15, 0.6  # lengths of a plan that is worth to be flown, and that leads on
 _STOP_AFTER_NS, _LAND_AFTER_NS = 300_000_000, 1_000_000_000  # without depth
 _ROUTE_NS = 1_000_000_000  # between two routes
 _STUCK_NS = 2_000_000_000  # without progress, after which unseen space on the route is given up
+_PEEKS = 3  # places from which a path is looked at
 _RETRIES = 2  # of what was given up, before the goal is unreachable
 _MEMORY_NS = 4_000_000_000  # age of the local map around the vehicle
 _MARGIN_SIGMAS, _MAX_MARGIN_M = 2.0, 0.15
@@ -186,6 +196,7 @@ class Explorer:
         self._route_map: Array | None = None
         self._given_up = np.zeros((0, 3))
         self._retries = _RETRIES
+        self._peeks = self._peeking_until_ns = 0
         self._depth_ns = 0
         self._variances: deque[tuple[int, float]] = deque()
         self._plan_due_ns = self._route_due_ns = self._progress_ns = 0
@@ -303,7 +314,7 @@ class Explorer:
         if is_lost or m.grid is None or without_ns > _LAND_AFTER_NS:
             self._brake_and_land(m, "the estimate is lost" if is_lost else "no depth", is_lost)
             return
-        space = LocalSpace.of(m.grid, m.body)
+        space = LocalSpace.of(m.grid, m.body, m.start[0])
         if without_ns > _STOP_AFTER_NS:
             self._say("no depth: stop")
             self._follow(m, stop(space, m.start, m.body, c.limits), self._turn(m, None))
@@ -340,10 +351,13 @@ class Explorer:
             return
         limits = replace(c.limits, speed_m_s=max(_SLOW_M_S, 0.8 * m.speed_m_s)) if is_askew else c.limits
         trajectory = trajectory_along(space, ahead, m.start, m.body, limits)
-        if trajectory is not None and np.linalg.norm(trajectory.control_points[-1, -1] - m.start[0]) > _LEAST_STEP_M:
+        length_m = 0.0 if trajectory is None else float(np.linalg.norm(trajectory.control_points[-1, -1] - m.start[0]))
+        if length_m > _PROGRESS_M or (length_m > _LEAST_STEP_M and m.now_ns > self._peeking_until_ns):
+            assert trajectory is not None
             self._say("fly home" if self._is_going_home else "fly")
-            self._progress_ns = m.now_ns
             self._follow(m, trajectory, turn)
+            if length_m > _PROGRESS_M:
+                self._progress_ns, self._peeks = m.now_ns, 0
             return
         # Without a new trajectory: fly on if the last one is still free, otherwise stop.
         rest = m.from_world(self._course.positions_from(m.begins_ns))[::10]
@@ -354,7 +368,7 @@ class Explorer:
             self._say("look")
             self._follow(m, at_rest(m.start[0]), turn)
             if m.now_ns - self._progress_ns > _STUCK_NS:
-                self._give_up(m, ahead)
+                self._try_otherwise(m, space, ahead, turn)
 
     def _path(self, m: _Moment, goal: Array) -> Array | None:
         """Return the path to a goal (3,) of the map in the odometry frame; None if it is unreachable.
@@ -379,7 +393,7 @@ class Explorer:
         ground_m = float(m.from_world(self._stand)[2])
         heights_m, start = (ground_m + c.lowest_m, ground_m + c.highest_m), moved(m.T_map_odom, m.start[0])
         found = path_to_goal(known, start, goal, m.body, heights_m, self._given_up)
-        if isinstance(found, NoRoute) and len(self._given_up) and self._retries:
+        if isinstance(found, NoRoute) and found.cause == "goal" and len(self._given_up) and self._retries:
             self._say("no route: try again what was given up")
             self._given_up, self._retries = self._given_up[:0], self._retries - 1
             found = path_to_goal(known, start, goal, m.body, heights_m, self._given_up)
@@ -387,6 +401,19 @@ class Explorer:
             self._say(f"no route: {found.reason}")
             return None
         return found.waypoints
+
+    def _try_otherwise(self, m: _Moment, space: LocalSpace, ahead: Array, turn: Turn) -> None:
+        """Look at the path from another place; give up what is unknown on it if that has not helped."""
+        place = None if self._peeks == _PEEKS else place_beside(space, m.start[0], ahead[-1], m.body)
+        there = None if place is None else trajectory_along(space, place[None], m.start, m.body, self._settings.limits)
+        if there is None:
+            self._give_up(m, ahead)
+            return
+        self._say("look from another place")
+        self._peeks += 1
+        self._progress_ns = m.now_ns + round(1e9 * there.duration_s) - _STUCK_NS // 2
+        self._peeking_until_ns = m.begins_ns + round(1e9 * there.duration_s)
+        self._follow(m, there, turn)
 
     def _give_up(self, m: _Moment, ahead: Array) -> None:
         """Take what is unknown around the next part of a path as occupied, since it cannot be seen from here."""
@@ -415,7 +442,7 @@ class Explorer:
 
     def _brake_and_land(self, m: _Moment, why: str, is_lost: bool) -> None:
         """Stop, then land: here if the estimate is lost, else where level floor was observed, else not yet."""
-        space = None if m.grid is None else LocalSpace.of(m.grid, m.body)
+        space = None if m.grid is None else LocalSpace.of(m.grid, m.body, m.start[0])
         if m.speed_m_s > 0.5 * _STILL_M_S:
             self._say(f"{why}: brake")
             limits = self._settings.limits

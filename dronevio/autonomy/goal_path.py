@@ -54,4 +54,7 @@ def path_to_goal(
     # The body stays between the heights.
     distance.distance_m[..., :levels] = 0.0
     distance.distance_m[..., states.shape[2] - levels :] = 0.0
-    return route(grid, distance, start, goal, clearance_m=body.radius_m, near_m=_NEAR_M)
+    found = route(grid, distance, start, goal, clearance_m=body.radius_m, near_m=_NEAR_M)
+    if isinstance(found, NoRoute) and found.cause == "start":  # closer to a surface than the margin allows
+        found = route(grid, distance, start, goal, clearance_m=body.bare_radius_m, near_m=2.0 * _NEAR_M)
+    return found

@@ -8,14 +8,17 @@ from dronevio.autonomy.body import Body, body_distance
 from dronevio.models.arrays import Array, Mask
 from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, DistanceField, OccupancyGrid
 
+NEAR_M = 1.5
+"""Distance along each axis within which the vehicle sees what is 4 cm wide, and from which it can stop [m]."""
+
 
 @dataclass(frozen=True, eq=False)
 class LocalSpace:
     """Where the centre of the vehicle may be, by the local map.
 
-    The body keeps its margin from surfaces, whose places have errors; it does not enter unknown space, but for gaps in
-    free space that are one cell thick: the depth along edges is unknown until an edge is seen from another side, and a
-    thing that is hidden there is seen from 1.5 m away.
+    The body keeps its margin from surfaces, whose places have errors. It does not enter unknown space, but for gaps in
+    free space that are one cell thick, and beyond `NEAR_M` two cells: along edges in the image, the depth is unknown
+    until they are seen from another side, and what such a gap may hide is seen from `NEAR_M` away.
     """
 
     grid: OccupancyGrid
@@ -24,9 +27,14 @@ class LocalSpace:
     """Horizontal distances to surfaces, or to what is unknown if that is nearer less the margin of the body."""
 
     @classmethod
-    def of(cls, grid: OccupancyGrid, body: Body) -> "LocalSpace":
-        """Return the space for a body; nothing outside the grid is known."""
-        unseen = _thick(grid.states == UNKNOWN)
+    def of(cls, grid: OccupancyGrid, body: Body, position: Array) -> "LocalSpace":
+        """Return the space for a body at a position (3,) in the grid [m]; nothing outside the grid is known."""
+        unknown = grid.states == UNKNOWN
+        unseen = _thick(unknown, 3)
+        reach = round(NEAR_M / grid.cell_m)
+        low, high = (np.clip(grid.cells(position) + end, 0, grid.states.shape) for end in (-reach, reach + 1))
+        near = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+        unseen[near] = _thick(unknown[near], 2)
         for axis in range(3):
             ends = np.moveaxis(unseen, axis, 0)
             ends[0] = ends[-1] = True
@@ -50,18 +58,20 @@ class LocalSpace:
         return values
 
 
-def _thick(cells: Mask) -> Mask:
-    """Return the cells (X, Y, Z) of a mask that lie in a cube of 2 × 2 × 2 of its cells."""
+def _thick(cells: Mask, side: int) -> Mask:
+    """Return the cells (X, Y, Z) of a mask that lie in a cube of its cells with a side of some cells."""
     cubes = cells
     for axis in range(3):
-        a = np.moveaxis(cubes, axis, 0)
-        cubes = np.moveaxis(a[:-1] & a[1:], 0, axis)
+        for _ in range(side - 1):
+            a = np.moveaxis(cubes, axis, 0)
+            cubes = np.moveaxis(a[:-1] & a[1:], 0, axis)
     for axis in range(3):
-        a = np.moveaxis(cubes, axis, 0)
-        grown = np.zeros((a.shape[0] + 1, *a.shape[1:]), np.bool_)
-        grown[:-1] |= a
-        grown[1:] |= a
-        cubes = np.moveaxis(grown, 0, axis)
+        for _ in range(side - 1):
+            a = np.moveaxis(cubes, axis, 0)
+            grown = np.zeros((a.shape[0] + 1, *a.shape[1:]), np.bool_)
+            grown[:-1] |= a
+            grown[1:] |= a
+            cubes = np.moveaxis(grown, 0, axis)
     return np.asarray(cubes)
 
 

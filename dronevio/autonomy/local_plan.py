@@ -21,6 +21,8 @@ from dronevio.sim.paths.limits import Limits
 _REACH_M = 2.0  # of the boxes of a corridor
 _STEP_M = 0.1  # between samples of a path
 _SPARE_M = (0.2, 0.1, 0.0)  # clearance of the route beyond that of the corridor, tried in turn
+_ASIDE_M = (0.3, 1.0)  # distance of places from which a path is looked at again
+_STILL_M_S = 0.1  # up to which a trajectory is sought in every corridor, however long that takes
 _MAX_EXPANSIONS = 100_000
 _NEIGHBOURS = np.ones((3, 3, 3), np.bool_)
 
@@ -70,20 +72,44 @@ def trajectory_along(
         trajectory = None if corridor is None else corridor_trajectory(corridor, start, way[-1], limits)
         if trajectory is not None:
             return trajectory
+        if corridor is not None and np.linalg.norm(start[1]) > _STILL_M_S:
+            return None  # what was decided before is flown on
     return None
 
 
 def _ways(space: LocalSpace, clear: Mask, start: Array, target: Array, body: Body) -> Iterator[Array]:
     """Yield polylines (N, 3) from a start to a target through clear cells, those with the most room first."""
+    last = np.zeros((0, 3))
     for spare_m in _SPARE_M:
         found = route(space.grid, space.distance, start, target, clearance_m=body.radius_m + spare_m, near_m=0.5)
-        if not isinstance(found, NoRoute):
-            yield found.waypoints
+        if not isinstance(found, NoRoute) and not np.array_equal(found.waypoints, last):
+            last = found.waypoints
+            yield last
     # Through a gap that is hardly wider than the body, diagonal steps may leave no room for boxes.
     ends = space.grid.cells(np.stack([start, target]))
     cells = shortest_path(clear, ends[0], ends[1], _MAX_EXPANSIONS, through_faces=True).cells
     if cells is not None:
         yield np.concatenate([start[None], space.grid.centres(cells)])
+
+
+def place_beside(space: LocalSpace, position: Array, ahead: Array, body: Body) -> Array | None:
+    """Return the reachable place (3,) near a position from which what is ahead (3,) is seen from most aside, if any."""
+    clear = space.is_clear(body.radius_m)
+    parts, _ = ndimage.label(clear, _NEIGHBOURS)
+    here = space.grid.cells(position)
+    if not np.all((here >= 0) & (here < clear.shape)) or not parts[tuple(here)]:
+        return None
+    level = space.grid.centres(np.argwhere(parts[..., here[2]] == parts[tuple(here)]) @ np.eye(2, 3, dtype=np.int64))
+    offsets = level[:, :2] - position[:2]
+    apart = np.linalg.norm(offsets, axis=1)
+    direction = ahead[:2] - position[:2]
+    direction = direction / max(float(np.linalg.norm(direction)), 1e-6)
+    aside = np.abs(offsets @ [-direction[1], direction[0]])
+    aside[(apart > _ASIDE_M[1]) | (apart < _ASIDE_M[0])] = 0.0
+    best = int(np.argmax(aside + 1e-3 * apart)) if len(aside) else 0
+    if not len(aside) or aside[best] < 0.5 * _ASIDE_M[0]:
+        return None
+    return np.append(level[best, :2], position[2])
 
 
 def stop(space: LocalSpace, start: Array, body: Body, limits: Limits) -> CorridorTrajectory:

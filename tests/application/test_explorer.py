@@ -15,7 +15,17 @@ from dronevio.autonomy.explorer import Explorer
 from dronevio.autonomy.goal_path import path_to_goal
 from dronevio.autonomy.heading import Turn
 from dronevio.autonomy.known_space import LocalSpace, around, with_free_column
-from dronevio.autonomy.local_plan import at_rest, braking, sampled, slowed, stop, straight, trajectory_along
+from dronevio.autonomy.landing import landing_place
+from dronevio.autonomy.local_plan import (
+    at_rest,
+    braking,
+    place_beside,
+    sampled,
+    slowed,
+    stop,
+    straight,
+    trajectory_along,
+)
 from dronevio.autonomy.ray_sensing import DriftingOdometry, RayCameras, RaySensing
 from dronevio.autonomy.route import NoRoute, Route
 from dronevio.models.arrays import Array
@@ -125,19 +135,22 @@ def test_margins_are_kept_from_surfaces_and_the_bare_body_from_the_unknown() -> 
     """Free for x from 1 to 5 m; a wall of surfaces at the far end in the second grid."""
     grid = grid_of((slice(10, 50), slice(None), slice(None)))
     at = np.array([[1.25, 2.0, 1.0], [1.35, 2.0, 1.0], [1.45, 2.0, 1.0]])  # cells 12, 13, 14; the last unknown one is 9
-    clearances = LocalSpace.of(grid, BODY).clearances(at)
+    clearances = LocalSpace.of(grid, BODY, np.array([1.0, 2.0, 1.0])).clearances(at)
     np.testing.assert_allclose(clearances, [0.4, 0.5, 0.6], atol=1e-6)  # 0.3, 0.4, 0.5 m and the margin of 0.1 m
     states = grid.states.copy()
     states[9] = OCCUPIED
-    walled = LocalSpace.of(replace(grid, states=states), BODY)
+    walled = LocalSpace.of(replace(grid, states=states), BODY, np.array([1.0, 2.0, 1.0]))
     np.testing.assert_allclose(walled.clearances(at), [0.3, 0.4, 0.5], atol=1e-6)
 
 
-@pytest.mark.parametrize(("thickness", "passes"), [(1, True), (2, False)])
-def test_unknown_gaps_of_one_cell_are_passed(thickness: int, passes: bool) -> None:
+@pytest.mark.parametrize(
+    ("thickness", "at_m", "passes"), [(1, 1.0, True), (2, 1.0, True), (3, 1.0, False), (1, 2.5, True), (2, 2.5, False)]
+)
+def test_thin_unknown_gaps_are_passed(thickness: int, at_m: float, passes: bool) -> None:
+    """The gap begins at x = 3 m: it may have two cells if the vehicle is farther than 1.5 m from it, otherwise one."""
     grid = grid_of((slice(1, 59), slice(1, 39), slice(1, 19)))
     grid.states[30 : 30 + thickness] = UNKNOWN
-    space = LocalSpace.of(grid, BODY)
+    space = LocalSpace.of(grid, BODY, np.array([at_m, 2.0, 1.0]))
     path = np.linspace([1.0, 2.0, 1.0], [5.0, 2.0, 1.0], 41)
     start = np.vstack([path[:1], np.zeros((3, 3))])
     trajectory = trajectory_along(space, path, start, BODY, LIMITS)
@@ -149,7 +162,7 @@ def test_unknown_gaps_of_one_cell_are_passed(thickness: int, passes: bool) -> No
 def test_trajectory_goes_as_far_as_is_known_and_stays_clear() -> None:
     grid = grid_of((slice(1, 40), slice(1, 39), slice(1, 19)))
     grid.states[20, :22] = OCCUPIED
-    space = LocalSpace.of(grid, BODY)
+    space = LocalSpace.of(grid, BODY, np.array([1.0, 2.0, 1.0]))
     path = np.linspace([1.0, 1.0, 1.0], [5.5, 3.0, 1.0], 50)
     start = np.vstack([path[:1], np.zeros((3, 3))])
     trajectory = trajectory_along(space, path, start, BODY, LIMITS)
@@ -160,18 +173,61 @@ def test_trajectory_goes_as_far_as_is_known_and_stays_clear() -> None:
     np.testing.assert_allclose(trajectory.state(trajectory.duration_s)[1:], 0.0, atol=1e-6)
     walled = grid.states.copy()
     walled[20] = OCCUPIED
-    assert trajectory_along(LocalSpace.of(replace(grid, states=walled), BODY), path[30:], start, BODY, LIMITS) is None
+    assert (
+        trajectory_along(
+            LocalSpace.of(replace(grid, states=walled), BODY, np.array([1.0, 2.0, 1.0])), path[30:], start, BODY, LIMITS
+        )
+        is None
+    )
 
 
 def test_stop_ends_before_the_obstacle_ahead() -> None:
     grid = grid_of((slice(1, 59), slice(1, 39), slice(1, 19)))
     grid.states[32:] = OCCUPIED
-    space = LocalSpace.of(grid, BODY)
+    space = LocalSpace.of(grid, BODY, np.array([1.0, 2.0, 1.0]))
     start = np.array([[1.5, 2.0, 1.0], [1.8, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     trajectory = stop(space, start, BODY, LIMITS)
     points = trajectory.path(np.linspace(0.0, trajectory.duration_s, 100))
     assert space.clearances(points).min() >= BODY.radius_m - 1e-6
     np.testing.assert_allclose(trajectory.state(trajectory.duration_s)[1:], 0.0, atol=1e-6)
+
+
+def test_a_place_beside_is_clear_and_aside() -> None:
+    grid = grid_of((slice(1, 59), slice(1, 39), slice(1, 19)))
+    grid.states[:, 24:] = OCCUPIED
+    space, position = LocalSpace.of(grid, BODY, np.array([2.0, 1.8, 1.0])), np.array([2.0, 1.8, 1.0])
+    place = place_beside(space, position, np.array([5.0, 1.8, 1.0]), BODY)
+    assert place is not None and space.clearances(place[None])[0] >= BODY.radius_m - 1e-6
+    assert place[1] < 1.1 and 0.3 <= np.hypot(*(place - position)[:2]) <= 1.0 and place[2] == 1.0
+    narrow = np.full(grid.states.shape, UNKNOWN, np.uint8)
+    narrow[15:26, 13:23, :] = FREE
+    alone = LocalSpace.of(replace(grid, states=narrow), BODY, position)
+    assert place_beside(alone, position, np.array([5.0, 1.8, 1.0]), BODY) is None
+
+
+def floor_with(hole: tuple[slice, slice] | None) -> OccupancyGrid:
+    """Return free space above a floor at the level of cell 2, which was not seen in a hole."""
+    grid = grid_of((slice(1, 59), slice(1, 39), slice(3, 19)))
+    grid.states[..., 2] = OCCUPIED
+    if hole is not None:
+        grid.states[(*hole, slice(0, 6))] = UNKNOWN
+    return grid
+
+
+def test_landing_is_on_observed_level_floor() -> None:
+    position = np.array([3.05, 2.05, 1.25])
+    here = landing_place(LocalSpace.of(floor_with(None), BODY, position), position, BODY)
+    assert here is not None
+    np.testing.assert_array_equal(here, position)
+    hole = floor_with((slice(26, 35), slice(None)))
+    aside = landing_place(LocalSpace.of(hole, BODY, position), position, BODY)
+    assert aside is not None and abs(aside[0] - position[0]) == pytest.approx(0.8, abs=0.16)
+    step = floor_with(None)
+    step.states[26:35, :, 4] = OCCUPIED
+    step.states[26:30, :, 6] = OCCUPIED
+    elsewhere = landing_place(LocalSpace.of(step, BODY, position), position, BODY)
+    assert elsewhere is not None and abs(elsewhere[0] - position[0]) > 0.5
+    assert landing_place(LocalSpace.of(floor_with((slice(None), slice(None))), BODY, position), position, BODY) is None
 
 
 def test_slowed_trajectory_has_the_same_path() -> None:

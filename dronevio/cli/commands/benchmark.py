@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from dronevio.eval.benchmark.rows import Row
     from dronevio.eval.benchmark.runner import BenchmarkPlan, ProgressListener
 
+EXPLORE = "explore"
+"""Name of the suite of flights to goals through unknown worlds, which runs no estimators on recordings."""
 _MANY = 10_000  # number of flights to which --sizing extrapolates
 
 
@@ -54,10 +56,12 @@ class BenchmarkCommand(Settings):
       dronevio benchmark --suite easy --estimators vio mine=python:my_package.odometry:Odometry
       dronevio benchmark --suite room --seeds 1000 --engine ray --address auto
       dronevio benchmark --suite room --sizing
+      dronevio benchmark --suite explore --variants rays --seeds 4
     """
 
     suite: str | None = None
-    """Name of a suite of scenarios: a world such as room, or a difficulty such as easy."""
+    """Name of a suite of scenarios: a world such as room, or a difficulty such as easy; explore for flights to goals
+    through unknown worlds, see docs/explore.md, of which only --variants, --seeds, --workers and --out are options."""
     scenarios: tuple[str, ...] = ()
     """Names of scenarios, which `dronevio scenarios` lists, and of the measured flights of the suite loops, such as
     measured-MH_04, which exist where DRONEVIO_DATA names a folder with their data."""
@@ -118,6 +122,12 @@ class BenchmarkCommand(Settings):
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     command = parse(BenchmarkCommand, arguments, "benchmark")
+    if command.suite == EXPLORE:
+        from dronevio.cli.commands.benchmark_explore import run_explore_suite
+
+        is_given = any(word.partition("=")[0] == "--seeds" for word in arguments)
+        seeds = command.seeds if is_given else None
+        return run_explore_suite(command.out, command.variants, seeds, command.workers, command.printing.json)
     benchmark = _planned(command)
     if command.sizing:
         return _print_sizing(command, benchmark)
@@ -197,7 +207,7 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
     from dronevio.sim.scenarios import SUITES
 
     if command.suite is not None and command.suite not in SUITES:
-        raise ConfigError(f"unknown suite {command.suite!r}; expected one of {', '.join(SUITES)}")
+        raise ConfigError(f"unknown suite {command.suite!r}; expected one of {', '.join((*SUITES, EXPLORE))}")
     names = [*([command.suite] if command.suite else []), *command.scenarios]
     words = [[given] if EXTERNAL.search(given) else given.split(",") for given in command.estimators]
     estimators = tuple(estimator_named(word.strip()) for group in words for word in group if word.strip())

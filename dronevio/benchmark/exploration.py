@@ -1,0 +1,276 @@
+"""The suite ``explore``: flights to goals through unknown worlds, in groups that share worlds and seeds.
+
+Seeds from 1000 on are those of the figures; constants were tuned on seeds below 100. Groups on the same seeds have the
+same worlds and goals, so that they can be compared flight by flight. A flight that crashes the program counts as one
+that has not reached its goal.
+"""
+
+import json
+import multiprocessing
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest
+
+from dronevio.models.errors import InputError
+from dronevio.models.progress import Progress, silent
+
+RESULTS_FILE = "flights.jsonl"
+"""File of the flights, one JSON document on each line."""
+GOAL_M = 0.5
+"""Distance from the goal at the end within which it is reached [m]."""
+CONFIDENCE = 0.95
+_WORLDS = ("room", "forest", "warehouse", "corridor", "office")
+_FIRST = 1000
+
+
+@dataclass(frozen=True)
+class Group:
+    """Flights that are flown in the same way."""
+
+    name: str
+    """Name, such as ``estimate``."""
+    description: str
+    """What the flights have in common."""
+    worlds: tuple[str, ...]
+    """Worlds of the flights."""
+    seeds: range
+    """Seeds in each world."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Options of `fly`, as plain values."""
+
+
+GROUPS: Mapping[str, Group] = MappingProxyType(
+    {
+        group.name: group
+        for group in (
+            Group("estimate", "on the estimate, from images", _WORLDS, range(_FIRST, _FIRST + 20)),
+            Group("rays", "depth along rays, drifting odometry", _WORLDS, range(2000, 2030), {"rays": 1.0}),
+            Group("true-pose", "true pose, same images", _WORLDS, range(_FIRST, _FIRST + 6), {"true_pose": True}),
+            Group("no-slam", "map without loops", ("office", "corridor"), range(_FIRST, _FIRST + 12), {"slam": False}),
+            Group("dark", "no light for 1 s", ("office", "forest"), range(_FIRST, _FIRST + 6), {"dark_s": 1.0}),
+            Group("wind", "gusts at 3 m/s", ("office", "forest"), range(_FIRST, _FIRST + 6), {"wind_m_s": 3.0}),
+            Group("drift", "twice the drift", ("office", "corridor"), range(2000, 2006), {"rays": 2.0}),
+            Group("narrow", "doors of 0.9 m", ("office-narrow",), range(_FIRST, _FIRST + 6), {"radius_m": 0.36}),
+            Group("white", "white walls", ("office-white",), range(_FIRST, _FIRST + 6)),
+            Group("glass", "walls of glass", ("office-glass",), range(_FIRST, _FIRST + 6)),
+            Group("one-camera", "one camera", ("office",), range(_FIRST, _FIRST + 6), {"rig": "euroc"}),
+        )
+    }
+)
+"""The groups of the suite by name."""
+
+
+@dataclass(frozen=True)
+class FlightKey:
+    """One flight of the suite."""
+
+    group: str
+    """Name of the group."""
+    world: str
+    """Name of the world."""
+    seed: int
+    """Seed of world, goal and sensors."""
+
+
+def keys(groups: Sequence[str] = ()) -> tuple[FlightKey, ...]:
+    """Return the flights of groups, all by default, seed by seed so that every world is flown early."""
+    chosen = [GROUPS[name] for name in groups or GROUPS]
+    return tuple(FlightKey(g.name, world, seed) for g in chosen for seed in g.seeds for world in g.worlds)
+
+
+def fly(key: FlightKey) -> dict[str, Any]:
+    """Fly and return the row of a flight: its key, its scores, and why it failed, if it did."""
+    from dronevio.autonomy.body import Body
+    from dronevio.autonomy.exploration import RIG, exploration_scenario, explore
+    from dronevio.autonomy.goals import drawn_goal
+    from dronevio.autonomy.ray_sensing import RaySensing
+    from dronevio.autonomy.settings import ExploreSettings
+    from dronevio.sim.faults import Faults
+    from dronevio.sim.physics.wind import Wind
+
+    options = GROUPS[key.group].options
+    scenario = exploration_scenario(key.world, key.seed, options.get("rig", RIG))
+    if "dark_s" in options:
+        scenario = replace(scenario, faults=Faults(dark_from_s=18.0, dark_for_s=options["dark_s"]))
+    if "wind_m_s" in options:
+        scenario = replace(scenario, wind=Wind((options["wind_m_s"], 0.0, 0.0), 1.0))
+    settings = ExploreSettings()
+    if "radius_m" in options:
+        radius_m = options["radius_m"]
+        settings = replace(settings, body=Body(radius_m, min(radius_m, settings.body.bare_radius_m)))
+    rays = None
+    if "rays" in options:
+        nominal = RaySensing()
+        rays = replace(
+            nominal,
+            drift_m_per_sqrt_m=options["rays"] * nominal.drift_m_per_sqrt_m,
+            yaw_drift_rad_per_sqrt_m=options["rays"] * nominal.yaw_drift_rad_per_sqrt_m,
+        )
+    row: dict[str, Any] = {**asdict(key)}
+    try:
+        goal = drawn_goal(key.world, key.seed, key.seed, settings.body)
+        found = explore(
+            scenario,
+            tuple(goal),
+            settings=settings,
+            slam=options.get("slam", True),
+            true_pose=options.get("true_pose", False),
+            without_images=rays,
+        )
+    except Exception as error:  # a row with its reason, which counts as a failure
+        return {**row, "outcome": "error", "collided": False, "reason": f"{type(error).__name__}: {error}"}
+    stages = {name: values for name, values in vars(found.times).items() if values}
+    cpu_s = sum(sum(values) for values in stages.values()) * 1e-3
+    last = found.decisions[-1].what if found.decisions else ""
+    return {
+        **row,
+        **asdict(found.scores),
+        "reason": str(found.flight.collision) if found.flight.collision else last,
+        "cpu_per_s": cpu_s / found.scores.time_s,
+        "estimator_cpu_per_s": float(found.run.cpu_ms.sum()) * 1e-3 / found.scores.time_s,
+        **{f"{name}_p99_ms": float(np.percentile(values, 99)) for name, values in stages.items()},
+    }
+
+
+def read_rows(folder: Path) -> list[dict[str, Any]]:
+    """Return the rows of the flights in a folder; none if there is no file.
+
+    Raises:
+        InputError: A line is no row.
+    """
+    path, rows = folder / RESULTS_FILE, []
+    if not path.exists():
+        return []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        try:
+            row = json.loads(line)
+            FlightKey(row["group"], row["world"], row["seed"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputError(f"{path}:{number}", "no flight of the suite", "a line that it has written") from error
+        rows.append(row)
+    return rows
+
+
+def run_suite(
+    folder: Path, groups: Sequence[str], workers: int, progress: Progress = silent, seeds: int | None = None
+) -> list[dict[str, Any]]:
+    """Fly the flights of groups that are not in a folder yet, and return the rows of all of them.
+
+    Args:
+        folder: Folder of the results; each row is written when its flight has ended.
+        groups: Names of groups; none for all.
+        workers: Number of processes.
+        progress: Called with the number of finished flights and their total.
+        seeds: Largest number of seeds of each world; None for all.
+    """
+    wanted = [key for key in keys(groups) if seeds is None or key.seed < GROUPS[key.group].seeds[0] + seeds]
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = {_key(row): row for row in read_rows(folder)}
+    missing = [key for key in wanted if key not in rows]
+    for done, row in enumerate(_flown(missing, workers), 1):
+        rows[_key(row)] = row
+        with (folder / RESULTS_FILE).open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+        progress(len(wanted) - len(missing) + done, len(wanted))
+    return [rows[key] for key in wanted]
+
+
+def _flown(missing: Sequence[FlightKey], workers: int) -> Iterator[dict[str, Any]]:
+    """Fly in processes, and yield the rows as flights end."""
+    if not missing:
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context, max_tasks_per_child=4) as pool:
+        for future in as_completed([pool.submit(fly, key) for key in missing]):
+            yield future.result()
+
+
+def _key(row: Mapping[str, Any]) -> FlightKey:
+    """Return the key of a row."""
+    return FlightKey(row["group"], row["world"], row["seed"])
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Summary of the flights of a group in a world, or in all of its worlds."""
+
+    group: str
+    """Name of the group."""
+    world: str
+    """Name of the world; ``all`` for all of them."""
+    flights: int
+    """Number of flights."""
+    reached: int
+    """Number of flights that ended within `GOAL_M` of the goal without a collision."""
+    reached_bounds: tuple[float, float]
+    """Clopper-Pearson interval of their probability."""
+    collisions: int
+    """Number of collisions."""
+    collisions_bounds: tuple[float, float]
+    """Clopper-Pearson interval of their probability."""
+    path_ratio: float
+    """Median length of the path by that of the shortest one, over flights that reached the goal."""
+    spl: float
+    """Success weighted by path length (Anderson et al., "On evaluation of embodied navigation agents", 2018, eq. 1)."""
+    speed_m_s: float
+    """Median of the median speeds [m/s]."""
+    time_s: float
+    """Median duration [s]."""
+    ate_m: float
+    """Median ATE [m]."""
+
+
+def summaries(rows: Sequence[Mapping[str, Any]]) -> list[Summary]:
+    """Return the summaries of rows, by group and world, and of all worlds of a group that has several."""
+    found = []
+    for name in dict.fromkeys(row["group"] for row in rows):
+        of_group = [row for row in rows if row["group"] == name]
+        worlds = list(dict.fromkeys(row["world"] for row in of_group))
+        found += [_summary(name, world, [row for row in of_group if row["world"] == world]) for world in worlds]
+        if len(worlds) > 1:
+            found.append(_summary(name, "all", of_group))
+    return found
+
+
+def has_reached(row: Mapping[str, Any]) -> bool:
+    """Return whether a flight ended near its goal without a collision, as its pilot said."""
+    near = row.get("distance_to_goal_m", np.inf) <= GOAL_M
+    return bool(row["outcome"] == "reached" and near and not row["collided"])
+
+
+def _summary(group: str, world: str, rows: Sequence[Mapping[str, Any]]) -> Summary:
+    """Return the summary of rows."""
+    good = [row for row in rows if has_reached(row)]
+    collisions = sum(bool(row["collided"]) for row in rows)
+    ratios = [row["path_m"] / row["shortest_m"] for row in good]
+
+    def median(name: str) -> float:
+        values = [row[name] for row in rows if row.get(name) is not None]
+        return float(np.median(values)) if values else np.nan
+
+    return Summary(
+        group,
+        world,
+        len(rows),
+        len(good),
+        _bounds(len(good), len(rows)),
+        collisions,
+        _bounds(collisions, len(rows)),
+        float(np.median(ratios)) if ratios else np.nan,
+        sum(1.0 / max(ratio, 1.0) for ratio in ratios) / len(rows),
+        median("median_speed_m_s"),
+        median("time_s"),
+        median("ate_m"),
+    )
+
+
+def _bounds(count: int, total: int) -> tuple[float, float]:
+    """Return the Clopper-Pearson interval of a probability."""
+    interval = binomtest(count, total).proportion_ci(CONFIDENCE, method="exact")
+    return float(interval.low), float(interval.high)
