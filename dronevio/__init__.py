@@ -19,6 +19,8 @@ from dronevio._lazy import attach
 
 if TYPE_CHECKING:
     from dronevio.api import dense, estimate, fly, fly_on_estimate, sfm
+    from dronevio.autonomy.exploration import Exploration, explore
+    from dronevio.autonomy.settings import ExploreSettings
     from dronevio.dense_mapping import DenseMap, map
     from dronevio.estimator.config import VioConfig
     from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
@@ -56,6 +58,8 @@ __all__ = [
     "Estimate",
     "Estimator",
     "EstimatorRun",
+    "Exploration",
+    "ExploreSettings",
     "Finding",
     "Health",
     "ImuModel",
@@ -82,6 +86,7 @@ __all__ = [
     "estimate_recording",
     "evaluate",
     "evaluate_policy",
+    "explore",
     "fly",
     "fly_on_estimate",
     "inspect",
@@ -103,6 +108,8 @@ __getattr__, __dir__ = attach(
     __name__,
     {
         "dronevio.api": ("dense", "estimate", "fly", "fly_on_estimate", "sfm"),
+        "dronevio.autonomy.exploration": ("Exploration", "explore"),
+        "dronevio.autonomy.settings": ("ExploreSettings",),
         "dronevio.dense_mapping": ("DenseMap", "map"),
         "dronevio.estimator.mapping.config": ("DenseMapConfig",),
         "dronevio.estimators.driver": ("estimate_recording",),

@@ -43,7 +43,7 @@ EXAMPLES: dict[type, Any] = {
 
 def settings_classes() -> list[type]:
     """Return all settings classes, sorted by name."""
-    for folder in ("models", "estimator", "sim", "eval", "cli", "book"):
+    for folder in ("models", "estimator", "sim", "eval", "autonomy", "cli", "book"):
         for file in sorted((PACKAGE / folder).rglob("*.py")):
             if re.search(r"\(Settings\)|\(Navigate\)", file.read_text(encoding="utf-8")):
                 importlib.import_module(".".join(("dronevio", *file.relative_to(PACKAGE).with_suffix("").parts)))
@@ -76,7 +76,7 @@ def filled(field: NumberField, value: object, settings: Any) -> object:
 
 def test_there_are_settings_in_all_packages() -> None:
     packages = {kind.__module__.split(".")[1] for kind in CLASSES}
-    assert packages == {"models", "estimator", "sim", "eval", "cli", "book"} and len(CLASSES) > 70
+    assert packages == {"models", "estimator", "sim", "eval", "autonomy", "cli", "book"} and len(CLASSES) > 70
 
 
 @pytest.mark.parametrize("kind", CLASSES, ids=lambda kind: kind.__name__)

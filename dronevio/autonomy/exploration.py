@@ -94,6 +94,13 @@ class Exploration:
     """The trajectories that were flown, in the order of time."""
     times: StageTimes
     """Processor times of depth, map and plan."""
+    settings: ExploreSettings
+    """Settings of the flight."""
+    waited_ns: int
+    """How long the vehicle waited on its pad for the estimator: decisions and plans have times on the clock of the
+    course, which stood still meanwhile [ns]."""
+    true_pose: bool
+    """Whether pilot, map and controller received the true pose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +212,20 @@ def _flown(
     submaps, decisions, plans = mapper.submaps, tuple(pilot.decisions), tuple(pilot.plans)
     mapper.close()
     return Exploration(
-        scenario, goal, scores, flight, run, occupancy, submaps, T_world_map, decisions, plans, pilot.times
+        scenario,
+        goal,
+        scores,
+        flight,
+        run,
+        occupancy,
+        submaps,
+        T_world_map,
+        decisions,
+        plans,
+        pilot.times,
+        settings or ExploreSettings(),
+        int(flight.truth.t_ns[-1]) - pilot.now_ns,
+        true_pose,
     )
 
 

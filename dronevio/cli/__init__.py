@@ -1,7 +1,7 @@
 """The ``dronevio`` command: it calls the subcommand, and turns errors into one line and an exit code.
 
-Exit codes: 0 success, 1 a check failed, 2 bad input, 70 a defect in dronevio, 130 interrupted, 141 the reader of
-standard output has gone.
+Exit codes: 0 success, 1 a check failed, 2 bad input, 3 the drone collided (``explore``), 70 a defect in dronevio, 130
+interrupted, 141 the reader of standard output has gone.
 """
 
 import os
@@ -45,6 +45,9 @@ COMMANDS = CommandGroup(
         "dense": Subcommand("dronevio.cli.commands.dense", "compute the surfaces of a scene from the result of sfm"),
         "map": Subcommand(
             "dronevio.cli.commands.map", "map what is free and occupied along a recording, and its surfaces"
+        ),
+        "explore": Subcommand(
+            "dronevio.cli.commands.explore", "fly to a goal through an unknown world on the drone's own estimate"
         ),
         "settings": Subcommand("dronevio.cli.commands.settings", "list all settings of a command with their ranges"),
         "policy": Subcommand("dronevio.cli.commands.policy", "evaluate, describe and export trained policies"),

@@ -93,9 +93,7 @@ class DenseMapLog:
 
     def finish(self, submaps: Sequence[PlacedSubmap], mesh: Mesh, trajectory: Trajectory) -> None:
         """Log the final map: its submaps at the end, and the mesh with the path at all times."""
-        self._flush(submaps)
-        self._images.close()
-        self._depths.close()
+        self.close(submaps)
         faces = rr.Mesh3D(
             vertex_positions=mesh.vertices.astype(np.float32),
             triangle_indices=mesh.triangles.astype(np.uint32),
@@ -106,6 +104,12 @@ class DenseMapLog:
         self._sink.static(f"{FINAL}/mesh", faces)
         path, rgb = trajectory.p_world_imu.astype(np.float32), colours.rgb(colours.ESTIMATE)
         self._sink.static(f"{FINAL}/path", rr.LineStrips3D([path], colors=rgb, radii=rr.Radius.ui_points(1.5)))
+
+    def close(self, submaps: Sequence[PlacedSubmap]) -> None:
+        """Log all that has not been logged yet, and the submaps at the end."""
+        self._flush(submaps)
+        self._images.close()
+        self._depths.close()
 
     def _flush(self, submaps: Sequence[PlacedSubmap]) -> None:
         """Log everything that has been received, and the submaps that have changed."""

@@ -69,19 +69,7 @@ class RerunLog:
 
     def surroundings(self, surroundings: Surroundings, times_ns: Times) -> None:
         """Log the surfaces of the surroundings or their outline, and moving objects at times (N,) [ns]."""
-        self._meshes(entities.SURROUNDINGS, surroundings.meshes)
-        if len(surroundings.outline) and not surroundings.meshes:
-            colour = [*colours.rgb(colours.SURROUNDINGS), 150]
-            strips = surroundings.outline.astype(np.float32)
-            lines = rr.LineStrips3D(strips, colors=colour, radii=rr.Radius.ui_points(0.5))
-            self._sink.static(entities.SURROUNDINGS, lines)
-        for box in surroundings.moving_boxes:
-            entity = f"{entities.MOVING_OBJECTS}/{rr.escape_entity_path_part(box.name)}"
-            self._meshes(entity, box.meshes)
-            if not box.meshes:
-                rgb = colours.rgb(colours.SURROUNDINGS)
-                self._sink.static(entity, rr.Boxes3D(mins=[box.low], sizes=[box.high - box.low], colors=rgb))
-            self._sink.poses(entity, times_ns, box.poses(np.asarray((times_ns - times_ns[:1]) * 1e-9)))
+        log_surroundings(self._sink, surroundings, times_ns, entities.SURROUNDINGS, entities.MOVING_OBJECTS)
 
     def truth(self, truth: Trajectory, frame_times_ns: Times, colour: str = colours.TRUTH) -> None:
         """Log the true path, pale as a whole and bright up to the time cursor, with speed and biases.
@@ -152,18 +140,6 @@ class RerunLog:
         """Log a text about the whole recording."""
         self._sink.static(entities.SUMMARY, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN))
 
-    def _meshes(self, entity: str, meshes: Sequence[TexturedMesh]) -> None:
-        """Log textured surfaces, which are visible from their front, so that rooms are seen into from outside."""
-        for index, mesh in enumerate(meshes):
-            drawn = rr.Mesh3D(
-                vertex_positions=mesh.vertices,
-                triangle_indices=mesh.triangles,
-                vertex_texcoords=mesh.texture_coordinates,
-                albedo_texture=mesh.texture,
-                face_rendering="Front",
-            )
-            self._sink.static(f"{entity}/surface{index}", drawn)
-
     def _log_body(self, entity: str, colour: str) -> None:
         """Log the solid body of the drone."""
         corners = self._body.triangles.reshape(-1, 3).astype(np.float32)
@@ -186,6 +162,43 @@ class RerunLog:
                     line_width=-0.8,  # in points of the screen, because it is negative
                 ),
             )
+
+
+def log_surroundings(sink: Sink, surroundings: Surroundings, times_ns: Times, fixed: str, moving: str) -> None:
+    """Log the surfaces of surroundings or their outline, and moving objects.
+
+    Args:
+        sink: Output of the rows.
+        surroundings: The surroundings.
+        times_ns: (N,) Times at which moving objects are shown [ns].
+        fixed: Path of what does not move.
+        moving: Path above those of moving objects.
+    """
+    _log_meshes(sink, fixed, surroundings.meshes)
+    if len(surroundings.outline) and not surroundings.meshes:
+        colour = [*colours.rgb(colours.SURROUNDINGS), 150]
+        strips = surroundings.outline.astype(np.float32)
+        sink.static(fixed, rr.LineStrips3D(strips, colors=colour, radii=rr.Radius.ui_points(0.5)))
+    for box in surroundings.moving_boxes:
+        entity = f"{moving}/{rr.escape_entity_path_part(box.name)}"
+        _log_meshes(sink, entity, box.meshes)
+        if not box.meshes:
+            rgb = colours.rgb(colours.SURROUNDINGS)
+            sink.static(entity, rr.Boxes3D(mins=[box.low], sizes=[box.high - box.low], colors=rgb))
+        sink.poses(entity, times_ns, box.poses(np.asarray((times_ns - times_ns[:1]) * 1e-9)))
+
+
+def _log_meshes(sink: Sink, entity: str, meshes: Sequence[TexturedMesh]) -> None:
+    """Log textured surfaces, which are visible from their front, so that rooms are seen into from outside."""
+    for index, mesh in enumerate(meshes):
+        drawn = rr.Mesh3D(
+            vertex_positions=mesh.vertices,
+            triangle_indices=mesh.triangles,
+            vertex_texcoords=mesh.texture_coordinates,
+            albedo_texture=mesh.texture,
+            face_rendering="Front",
+        )
+        sink.static(f"{entity}/surface{index}", drawn)
 
 
 def scene_points(surroundings: Surroundings, paths: Sequence[Trajectory]) -> Array:

@@ -13,6 +13,7 @@ import pytest
 from dronevio.cli import main
 from dronevio.cli.commands.dense import DenseCommand
 from dronevio.cli.commands.estimate import EstimateCommand
+from dronevio.cli.commands.explore import ExploreCommand
 from dronevio.cli.commands.map import MapCommand
 from dronevio.cli.commands.run import RunCommand
 from dronevio.cli.commands.settings import Name, command_named
@@ -21,7 +22,7 @@ from dronevio.cli.flight_options import parse_flight
 from dronevio.cli.imported_settings import field_types
 from dronevio.cli.settings.listing import listed_settings
 from dronevio.cli.settings.named_fields import NamedField, changed, named_fields, settings_of
-from dronevio.cli.settings.option_tables import DENSE, DENSE_MAP, ESTIMATOR, MAP, SFM, OptionTable
+from dronevio.cli.settings.option_tables import DENSE, DENSE_MAP, ESTIMATOR, EXPLORE, MAP, SFM, OptionTable
 from dronevio.cli.terminal import parse
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.slam.config import SlamConfig
@@ -35,6 +36,7 @@ GROUPS: tuple[tuple[type, str, OptionTable, int], ...] = (
     (SfmCommand, "sfm", SFM, 10),
     (DenseCommand, "dense", DENSE, 10),
     (MapCommand, "dense", DENSE_MAP, 3),
+    (ExploreCommand, "pilot", EXPLORE, 5),
 )
 """Command and field of each group of settings with a table of options, and the largest number of options."""
 NEEDED = {EstimateCommand: "recording", SfmCommand: "images", DenseCommand: "scene", MapCommand: "recording"}
@@ -113,10 +115,19 @@ def test_run_has_at_most_120_options(capsys: pytest.CaptureFixture[str], monkeyp
 @pytest.mark.skipif(not GUIDE.is_file(), reason="not a checkout")
 def test_the_guide_has_the_tables_of_options() -> None:
     rows = re.findall(r"^\| `--([\w.-]+)` \| (.*) \| (.*) \|$", GUIDE.read_text(encoding="utf-8"), re.MULTILINE)
-    defaults = {each.field.name: each.toml for command in NEEDED for each in listed_settings(command)}
+    defaults = {
+        each.field.name: each.toml for command in (*NEEDED, ExploreCommand) for each in listed_settings(command)
+    }
     expected = [
         (prefix + name, f"`{defaults[prefix + name]}`", when)
-        for prefix, table in (("estimator.", ESTIMATOR), ("map.", MAP), ("", SFM), ("", DENSE), ("", DENSE_MAP))
+        for prefix, table in (
+            ("estimator.", ESTIMATOR),
+            ("map.", MAP),
+            ("", SFM),
+            ("", DENSE),
+            ("", DENSE_MAP),
+            ("pilot.", EXPLORE),
+        )
         for name, when in table.items()
     ]
     same = "threads"  # of sfm and of dense

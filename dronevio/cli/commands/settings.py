@@ -10,7 +10,7 @@ import tyro
 from dronevio.cli.terminal import parse
 from dronevio.models.errors import ConfigError
 
-Name = Literal["run", "fly", "estimate", "sfm", "dense", "map"]
+Name = Literal["run", "fly", "estimate", "sfm", "dense", "map", "explore"]
 WIDTH = 99
 """Largest number of columns of an explanation."""
 
@@ -56,6 +56,7 @@ def command_named(name: Name) -> tuple[type, dict[str, object]]:
     """Return the dataclass of a command with settings, and the defaults that replace those of its fields."""
     from dronevio.cli.commands.dense import DenseCommand
     from dronevio.cli.commands.estimate import EstimateCommand
+    from dronevio.cli.commands.explore import ExploreCommand
     from dronevio.cli.commands.fly import FlyCommand
     from dronevio.cli.commands.map import MapCommand
     from dronevio.cli.commands.run import RunCommand
@@ -64,6 +65,6 @@ def command_named(name: Name) -> tuple[type, dict[str, object]]:
     from dronevio.sim.scenarios import scenario_named
 
     found: dict[str, type] = {"run": RunCommand, "fly": FlyCommand, "estimate": EstimateCommand}
-    found |= {"sfm": SfmCommand, "dense": DenseCommand, "map": MapCommand}
+    found |= {"sfm": SfmCommand, "dense": DenseCommand, "map": MapCommand, "explore": ExploreCommand}
     is_flight = name in ("run", "fly")
     return found[name], {"flight": FlightOptions.of(scenario_named(DEFAULT_SCENARIO))} if is_flight else {}

@@ -122,6 +122,19 @@ DENSE_MAP: OptionTable = MappingProxyType(
 )
 """Options of the dense map."""
 
+EXPLORE: OptionTable = MappingProxyType(
+    {
+        "limits.speed-m-s": "The space is narrow or its surfaces have little texture (decrease it), or it is open (up to"
+        " 2.5 m/s: depth is used to 4 m).",
+        "lowest-m": "The drone should fly above tables or through low openings.",
+        "highest-m": "Ways lead over obstacles (increase it), or the drone has to stay low (decrease it).",
+        "body.radius-m": "The vehicle is larger or smaller than the research quadrotor, or doors are narrower than a"
+        " metre (decrease it, at the cost of the margin).",
+        "plan-latency-s": "The computer of the drone plans faster or more slowly than within a tenth of a second.",
+    }
+)
+"""Options of flights through unknown worlds."""
+
 OPTIONS = "options"
 """Key of a table in the metadata of a command's field, for the group of settings that it holds."""
 
