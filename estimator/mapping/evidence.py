@@ -29,10 +29,11 @@ FULL_BLOCKS = 3.0
 HOLE_PX = 13
 """Length of holes in the depth that may hide a thing; an odd number [px]."""
 HIDDEN_M = 0.04
-"""Width of the thinnest thing that a hole may hide, at any distance [m]."""
-_THIN_PX = (3, 5, 9, 17)
-"""Widths of holes that are told apart: a hole that is thinner than one of them hides nothing at distances at which
-`HIDDEN_M` is wider [px]."""
+"""Width of the thinnest thing that a hole is feared to hide near the camera [m]."""
+_DISCS_PX = (2, 3, 4)
+"""Radii of the discs by which the width of holes is told, at most half of `HOLE_PX` [px]."""
+_MOST_OF_IMAGE = 0.25
+"""Largest half side of a footprint, as a share of the image's height."""
 _LARGEST = 65535
 """Largest quantized depth, that of the range."""
 
@@ -48,6 +49,9 @@ def _line(column: float, row: float) -> npt.NDArray[np.uint8]:
 
 _LINES = [_line(*steps) for steps in ((1, 0), (1, 0.5), (1, 1), (0.5, 1), (0, 1), (-0.5, 1), (-1, 1), (-1, 0.5))]
 """Lines in eight directions, so that a stripe of a quarter of `HOLE_PX` is found at any angle."""
+_SQUARE, _CROSS = np.ones((3, 3), np.uint8), np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
+_STEPS = (_SQUARE, _CROSS, _CROSS, _CROSS)
+"""Neighbourhoods by which a disc grows by a pixel each; a stripe 2 r + 1 pixels wide contains it at any angle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,30 +109,49 @@ def _add_free(
     half_m = np.float32(0.5 * cell_m * float(np.abs(R[:, 2]).sum()))
     of_column, of_row = (_half_sides(depth.camera, R, axis, cell_m) for axis in (0, 1))
     least, most = max(of_column.min(), of_row.min()), max(of_column.max(), of_row.max())
-    bands = _bands(depth.camera, far_m)
-    windows = [
-        NearestDepths.of(free_to, float(least) / end_m + 0.5) for end_m, free_to in _free_to(depth, far_m, bands)
-    ]
-    near_m = float(half_m + most / (min(each.reach_px[-1] for each in windows) - 0.5))
+    largest_px = int(_MOST_OF_IMAGE * depth.camera.height)
+    near_m = float(half_m + most / (largest_px - 0.5))
     if near_m >= far_m - half_m:
         return
     cells, z, u, v = _cells_in_view(low, shape, depth, cell_m, near_m, float(far_m - half_m))
     # All pixels of which a part lies in the footprint
     radius = (np.maximum(np.take(of_column, u), np.take(of_row, v)) / (z - half_m) + np.float32(1.499)).astype(np.int32)
-    ends = np.array([end_m for end_m, _ in bands[1:]], np.float32) - half_m
-    band = np.count_nonzero(z <= ends[:, None], axis=0)
-    nearest = np.zeros(len(z), np.uint16)
-    for number, each in enumerate(windows):
-        own = np.flatnonzero(band == number)
-        nearest[own] = each.at(u[own], v[own], radius[own])
-    is_free = (z + half_m) * np.float32(_LARGEST / far_m) <= nearest
+    # The nearest depth in them, by the holes that may hide a thing up to the far side of the cell
+    bands = _bands(depth.camera, near_m + float(half_m), far_m)
+    sizes_px = (
+        (int(np.ceil(least / band.end_m + 0.5)), min(largest_px, int(most / (band.begin_m - 2.0 * half_m) + 1.5)))
+        for band in bands
+    )
+    windows = NearestDepths.of(
+        (free_to, *sizes) for free_to, sizes in zip(_free_to(depth, far_m, bands), sizes_px, strict=True)
+    )
+    begins_m = np.array([band.begin_m for band in bands[:-1]], np.float32)
+    number = np.count_nonzero(z + half_m <= begins_m[:, None], axis=0)
+    is_free = (z + half_m) * np.float32(_LARGEST / far_m) <= windows.at(u, v, radius, number)
     log_odds[cells] = np.where(is_free, np.float32(FREE_LOG_ODDS), np.float32(0.0))
 
 
-def _bands(camera: Pinhole, far_m: float) -> list[tuple[float, int]]:
-    """Return bands of depth from far to near: the end of each [m], and the width of holes that hide nothing [px]."""
-    ends = ((HIDDEN_M * float(camera.K[0, 0]) / width_px, width_px) for width_px in _THIN_PX)
-    return [(far_m, 0), *((end_m, width_px) for end_m, width_px in ends if end_m < far_m)]
+@dataclass(frozen=True)
+class _Band:
+    """A range of depths in which the same holes may hide a thing."""
+
+    begin_m: float
+    """Its near end [m]."""
+    end_m: float
+    """Its far end [m]."""
+    disc_px: int
+    """Radius of the disc that such holes contain; 0 if they are all those that are not small [px]."""
+
+
+def _bands(camera: Pinhole, near_m: float, far_m: float) -> list[_Band]:
+    """Return the bands between two depths, from far to near.
+
+    A thing as wide as `HIDDEN_M` covers discs of radius r up to the depth f `HIDDEN_M` / (2 r + 1).
+    """
+    ends_m = [far_m, *(HIDDEN_M * float(camera.K[0, 0]) / (2 * disc_px + 1) for disc_px in _DISCS_PX), near_m]
+    limits_m = np.clip(ends_m, near_m, far_m).tolist()
+    bands = zip(limits_m[1:], limits_m[:-1], (0, *_DISCS_PX), strict=True)
+    return [_Band(begin_m, end_m, disc_px) for begin_m, end_m, disc_px in bands if begin_m < end_m]
 
 
 def _half_sides(camera: Pinhole, R: Array, axis: int, cell_m: float) -> Floats:
@@ -146,25 +169,32 @@ def _half_sides(camera: Pinhole, R: Array, axis: int, cell_m: float) -> Floats:
     return np.asarray(np.maximum(sides[:-1], sides[1:]), np.float32)
 
 
-def _free_to(depth: DepthImage, far_m: float, bands: list[tuple[float, int]]) -> Iterator[tuple[float, Values]]:
+def _free_to(depth: DepthImage, far_m: float, bands: list[_Band]) -> Iterator[Values]:
     """Yield up to which depth each pixel is free (H, W) in each band, in steps of ``far_m`` / 65535; 0 where unknown.
 
     Matchers reject single pixels of smooth surfaces, and all pixels along thin things such as poles. A pixel of unknown
-    depth is therefore as near as its surroundings if no line through it is unknown for `HOLE_PX`, or if no square of
-    unknown pixels of the width of the band contains it, otherwise unknown.
+    depth is therefore as near as its surroundings if no line through it is unknown for `HOLE_PX`, or if no disc of the
+    band that contains it is unknown, otherwise unknown. What lies outside the image is unknown.
     """
     free_to = _in_steps(depth.depth_m, depth.sigma_m, 1.0, -FREE_SIGMAS, far_m)
     is_known = depth.known.view(np.uint8)
     is_unknown = np.asarray(1 - is_known, np.uint8)
+    is_small = reduce(np.bitwise_and, (cv2.morphologyEx(is_known, cv2.MORPH_CLOSE, line) for line in _LINES))
     around = cv2.erode(free_to - is_unknown, np.ones((HOLE_PX, HOLE_PX), np.uint8))  # 0 - 1 is the largest value
-    small = reduce(np.bitwise_and, (cv2.morphologyEx(is_known, cv2.MORPH_CLOSE, line) for line in _LINES))
-    for end_m, width_px in bands:
-        if width_px:
-            square = np.ones((width_px, width_px), np.uint8)
-            small = small | (cv2.morphologyEx(is_unknown, cv2.MORPH_OPEN, square, borderValue=1) == 0)
-        if width_px > HOLE_PX:
-            around = cv2.erode(free_to - is_unknown, np.ones((width_px, width_px), np.uint8))
-        yield end_m, np.asarray(np.where(depth.known, free_to, around * small), np.uint16)
+    filled = free_to + around * is_unknown
+    for band in bands:
+        is_wide = _opened(is_unknown, band.disc_px) if band.disc_px else is_unknown
+        yield np.asarray(filled * (is_small | (1 - is_wide)), np.uint16)
+
+
+def _opened(image: npt.NDArray[np.uint8], disc_px: int) -> npt.NDArray[np.uint8]:
+    """Return the union of the discs of ones in an image (H, W) of zeros and ones that is surrounded by ones."""
+    steps = _STEPS[:disc_px]
+    for step in steps:
+        image = cv2.erode(image, step, borderType=cv2.BORDER_CONSTANT, borderValue=1)
+    for step in steps:
+        image = cv2.dilate(image, step, borderType=cv2.BORDER_CONSTANT, borderValue=1)
+    return image
 
 
 def _cells_in_view(

@@ -1,5 +1,6 @@
 """Evidence of depth images: what is free, occupied and left unknown."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,6 +9,7 @@ from hypothesis import strategies as st
 from dronevio.estimator.mapping.evidence import (
     FREE_LOG_ODDS,
     FREE_SIGMAS,
+    HIDDEN_M,
     HOLE_PX,
     OCCUPIED_LOG_ODDS,
     Evidence,
@@ -127,8 +129,9 @@ def test_a_pole_of_unknown_depth_in_front_of_a_known_wall_is_not_freed() -> None
     with_it = with_pole(wall(3.95), 2.0, 0.02)
     unknown = np.where(with_it < 3.0, 0.0, with_it)
     found = evidence(image(unknown, pose((0.0, 0.0, 0.0))), CELL_M, 4.0)
-    for z in (0.55, 1.05, 1.95, 2.05):
+    for z in (1.05, 1.95, 2.05):
         assert value_at(found, (z, 0.0, 0.05)) == 0.0
+    assert value_at(found, (0.55, 0.0, 0.05)) < 0.0  # where 4 cm would be 8 pixels wide
     assert value_at(found, (2.05, 0.35, 0.05)) < 0.0
 
 
@@ -149,16 +152,76 @@ def test_rejected_pixels_of_a_wall_do_not_block_what_is_in_front_of_it() -> None
     assert not (free_with_holes & ~free).any()
 
 
-@pytest.mark.parametrize("angle_deg", np.arange(0.0, 180.0, 7.5))
-def test_a_stripe_of_unknown_depth_is_not_freed_at_any_angle(angle_deg: float) -> None:
-    """As wide as a pole of a pixel with the bands in which a matcher sees two surfaces."""
-    depth, angle = wall(3.95, EUROC_HALF), np.deg2rad(angle_deg)
-    v, u = np.indices(depth.shape)
-    K = EUROC_HALF.K
-    depth[np.abs((u - K[0, 2]) * np.cos(angle) - (v - K[1, 2]) * np.sin(angle)) <= 3.5] = 0.0
+def with_stripe(depth_m: Floats, width_px: float, angle_deg: float, off_px: float = 0.0) -> Floats:
+    """Return a depth image without depths in a stripe beside the middle of the image; upright at 0°."""
+    v, u = np.indices(depth_m.shape)
+    K, angle = EUROC_HALF.K, np.deg2rad(angle_deg)
+    away_px = (u - K[0, 2]) * np.cos(angle) - (v - K[1, 2]) * np.sin(angle) - off_px
+    return np.where(np.abs(away_px) <= 0.5 * width_px, np.float32(0.0), depth_m)
+
+
+def in_front_of(depth_m: Floats, x_m: float) -> float:
+    """Return the evidence of the cell around (x, 0, 0.05) about a depth image of a camera at 0 that looks along x."""
+    return value_at(evidence(image(depth_m, pose((0.0, 0.0, 0.0)), 0.0, EUROC_HALF), CELL_M, 4.0), (x_m, 0.0, 0.05))
+
+
+@given(st.floats(0.0, 180.0), st.floats(-0.5, 0.5), st.integers(4, 29))
+@settings(max_examples=60, deadline=None)
+def test_a_stripe_that_may_hide_a_thing_is_not_freed_at_any_angle(angle_deg: float, off_px: float, cell: int) -> None:
+    """It is as wide as a thing at the far side of the cell, or as a pole of a pixel with the bands of the matcher."""
+    width_px = max(EUROC_HALF.K[0, 0] * HIDDEN_M / (CELL_M * (cell + 1)), 4.5)
+    depth = with_stripe(wall(3.95, EUROC_HALF), width_px, angle_deg, off_px)
+    assert in_front_of(depth, CELL_M * (cell + 0.5)) == 0.0
+
+
+@given(st.floats(0.0, 180.0), st.floats(-0.5, 0.5), st.integers(4, 17))
+@settings(max_examples=60, deadline=None)
+def test_a_stripe_that_is_much_thinner_than_a_thing_is_freed(angle_deg: float, off_px: float, cell: int) -> None:
+    """Things that are nearer than a metre are as wide as one at a metre."""
+    width_px = 0.6 * EUROC_HALF.K[0, 0] * HIDDEN_M / max(CELL_M * (cell + 1), 1.0)
+    depth = with_stripe(wall(3.95, EUROC_HALF), width_px, angle_deg, off_px)
+    assert (depth == 0.0).sum() > 150.0 * width_px
+    assert in_front_of(depth, CELL_M * (cell + 0.5)) == pytest.approx(FREE_LOG_ODDS)
+
+
+@pytest.mark.parametrize("width_px, free_to_m", [(4, 1.8), (5, 1.3), (6, 1.3), (7, 1.0), (8, 1.0), (9, 0.0), (30, 0.0)])
+def test_a_stripe_is_freed_as_far_as_a_thing_would_be_wider(width_px: int, free_to_m: float) -> None:
+    """With f = 229 px, 4 cm are 5, 7 and 9 px at 1.832, 1.309 and 1.018 m: the last cells before end at 1.8, 1.3, 1 m."""
+    depth = wall(3.95, EUROC_HALF)
+    depth[:, 187 - (width_px - 1) // 2 : 188 + width_px // 2] = 0.0
     found = evidence(image(depth, pose((0.0, 0.0, 0.0)), 0.0, EUROC_HALF), CELL_M, 4.0)
-    for x in (0.55, 1.05, 2.05, 2.95):
-        assert value_at(found, (x, 0.0, 0.05)) == 0.0
+    for cell in range(5, 30):
+        expected = FREE_LOG_ODDS if CELL_M * (cell + 1) < free_to_m + 1e-6 else 0.0
+        assert value_at(found, (CELL_M * (cell + 0.5), 0.0, 0.05)) == pytest.approx(expected), cell
+
+
+def test_a_thin_hole_at_the_edge_of_the_image_is_not_freed() -> None:
+    """A stripe of four pixels goes on beyond the edge of the image."""
+    depth, K = wall(3.95, EUROC_HALF), EUROC_HALF.K
+    known = evidence(image(depth, pose((0.0, 0.0, 0.0)), 0.0, EUROC_HALF), CELL_M, 4.0)
+    depth[:, :4] = 0.0
+    holed = evidence(image(depth, pose((0.0, 0.0, 0.0)), 0.0, EUROC_HALF), CELL_M, 4.0)
+    lost = found_free(known) & ~found_free(holed)
+    corners = in_camera(holed, found_free(holed), pose((0.0, 0.0, 0.0)))
+    assert lost.sum() > 100
+    assert (K[0, 0] * corners[..., 0] / corners[..., 2] + K[0, 2]).min() >= 3.5
+
+
+@given(rotations, st.integers(0, 1000), st.floats(0.0, 0.6), st.integers(1, 30))
+@settings(max_examples=25, deadline=None)
+def test_a_wider_hole_never_frees_more_in_front_of_a_wall(R: Array, seed: int, share: float, stripes: int) -> None:
+    """Holes of all sizes: single pixels, and stripes of up to 12 pixels."""
+    rng = np.random.default_rng(seed)
+    narrow = np.where(rng.random((240, 376)) < 0.2 * share, np.float32(0.0), wall(3.95, EUROC_HALF))
+    for _ in range(stripes):
+        narrow = with_stripe(narrow, rng.uniform(0.0, 12.0), rng.uniform(0.0, 180.0), rng.uniform(-150.0, 150.0))
+    grown = cv2.erode(narrow, np.ones((2, 3), np.uint8))
+    wide = np.where(rng.random(narrow.shape) < share, grown, narrow)
+    free, free_of_wider = (
+        found_free(evidence(image(depth, pose((0.0, 0.0, 0.0), R), 0.02, EUROC_HALF), CELL_M, 4.0))
+        for depth in (narrow, wide)
+    )
+    assert not (free_of_wider & ~free).any()
 
 
 @pytest.mark.parametrize("side_px, expected", [(HOLE_PX - 2, FREE_LOG_ODDS), (HOLE_PX + 2, 0.0)])
@@ -215,13 +278,29 @@ def test_an_image_without_depth_says_nothing() -> None:
 @given(st.integers(0, 1000), st.integers(30, 45), st.integers(30, 45), st.integers(1, 12))
 @settings(max_examples=50, deadline=None)
 def test_windows_reach_as_far_as_asked(seed: int, height: int, width: int, least_px: int) -> None:
+    """Of two images, each with a size of windows of its own."""
     rng = np.random.default_rng(seed)
-    values = rng.integers(1, 60000, (height, width)).astype(np.uint16)
-    windows = NearestDepths.of(values, float(least_px))
-    radius = int(rng.integers(1, windows.reach_px[-1] + 1))
-    v, u = (axis.ravel().astype(np.int32) for axis in np.indices(values.shape))
-    least = windows.at(u, v, np.full(u.shape, radius, np.int32))
-    for column, row, value in zip(u, v, least, strict=True):
-        square = values[max(0, row - radius) : row + radius + 1, max(0, column - radius) : column + radius + 1]
-        assert value <= square.min()
-        assert value == 0 or square.size == (2 * radius + 1) ** 2
+    images = rng.integers(1, 60000, (2, height, width)).astype(np.uint16)
+    most_px = [least_px, least_px + int(rng.integers(0, 8))]
+    windows = NearestDepths.of((values, least_px, most) for values, most in zip(images, most_px, strict=True))
+    v, u = (axis.ravel().astype(np.int32) for axis in np.indices((height, width)))
+    for image_number, (values, most) in enumerate(zip(images, most_px, strict=True)):
+        radius = int(rng.integers(1, most + 1))
+        numbers = np.full(u.shape, image_number)
+        least = windows.at(u, v, np.full(u.shape, radius, np.int32), numbers)
+        for column, row, value in zip(u, v, least, strict=True):
+            square = values[max(0, row - radius) : row + radius + 1, max(0, column - radius) : column + radius + 1]
+            assert value <= square.min()
+            assert value == 0 or square.size == (2 * radius + 1) ** 2
+        if least_px == most and 2 * radius + 1 < min(height, width) - 16:
+            assert least.max() > 0
+        assert not windows.at(u, v, np.full(u.shape, 10**6, np.int32), numbers).any()
+
+
+def test_a_window_of_few_pixels_is_exact() -> None:
+    values = np.arange(1, 401, dtype=np.uint16).reshape(20, 20)
+    windows = NearestDepths.of([(values, 1, 1), (values + np.uint16(1000), 2, 3)])
+    at = np.array([10, 10, 10, 10, 1, 2], np.int32)
+    radius, number = np.array([1, 2, 3, 2, 2, 2], np.int32), np.array([0, 1, 1, 0, 1, 1])
+    # Row 10, column 10 is 211; row 9, column 9 is 190, and so on; the smallest window of the first image reaches 1 px
+    assert windows.at(at, at, radius, number).tolist() == [190, 1169, 1148, 0, 0, 1001]
