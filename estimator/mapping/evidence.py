@@ -30,7 +30,7 @@ HOLE_PX = 13
 """Length of holes in the depth that may hide a thing; an odd number [px]."""
 HIDDEN_M = 0.04
 """Width of the thinnest thing that a hole is feared to hide near the camera [m]."""
-_DISCS_PX = (2, 3, 4)
+_DISCS_PX = (2, 3, 4, 5)
 """Radii of the discs by which the width of holes is told, at most half of `HOLE_PX` [px]."""
 _MOST_OF_IMAGE = 0.25
 """Largest half side of a footprint, as a share of the image's height."""
@@ -50,7 +50,7 @@ def _line(column: float, row: float) -> npt.NDArray[np.uint8]:
 _LINES = [_line(*steps) for steps in ((1, 0), (1, 0.5), (1, 1), (0.5, 1), (0, 1), (-0.5, 1), (-1, 1), (-1, 0.5))]
 """Lines in eight directions, so that a stripe of a quarter of `HOLE_PX` is found at any angle."""
 _SQUARE, _CROSS = np.ones((3, 3), np.uint8), np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
-_STEPS = (_SQUARE, _CROSS, _CROSS, _CROSS)
+_STEPS = (_SQUARE, _CROSS, _CROSS, _CROSS, _SQUARE)
 """Neighbourhoods by which a disc grows by a pixel each; a stripe 2 r + 1 pixels wide contains it at any angle."""
 
 
@@ -182,19 +182,24 @@ def _free_to(depth: DepthImage, far_m: float, bands: list[_Band]) -> Iterator[Va
     is_small = reduce(np.bitwise_and, (cv2.morphologyEx(is_known, cv2.MORPH_CLOSE, line) for line in _LINES))
     around = cv2.erode(free_to - is_unknown, np.ones((HOLE_PX, HOLE_PX), np.uint8))  # 0 - 1 is the largest value
     filled = free_to + around * is_unknown
+    inner, grown = is_unknown, 0  # where the middles of unknown discs are, and their radius
     for band in bands:
-        is_wide = _opened(is_unknown, band.disc_px) if band.disc_px else is_unknown
+        inner = reduce(_eroded, _STEPS[grown : band.disc_px], inner)
+        grown = band.disc_px
+        is_wide = reduce(_dilated, _STEPS[:grown], inner)
         yield np.asarray(filled * (is_small | (1 - is_wide)), np.uint16)
 
 
-def _opened(image: npt.NDArray[np.uint8], disc_px: int) -> npt.NDArray[np.uint8]:
-    """Return the union of the discs of ones in an image (H, W) of zeros and ones that is surrounded by ones."""
-    steps = _STEPS[:disc_px]
-    for step in steps:
-        image = cv2.erode(image, step, borderType=cv2.BORDER_CONSTANT, borderValue=1)
-    for step in steps:
-        image = cv2.dilate(image, step, borderType=cv2.BORDER_CONSTANT, borderValue=1)
-    return image
+def _eroded(image: npt.NDArray[np.uint8], neighbours: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """Return where all neighbours are one in an image (H, W) of zeros and ones that is surrounded by ones."""
+    eroded = cv2.erode(image, neighbours, borderType=cv2.BORDER_CONSTANT, borderValue=1)
+    return np.asarray(eroded, np.uint8)
+
+
+def _dilated(image: npt.NDArray[np.uint8], neighbours: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """Return where any neighbour is one in an image (H, W) of zeros and ones that is surrounded by ones."""
+    dilated = cv2.dilate(image, neighbours, borderType=cv2.BORDER_CONSTANT, borderValue=1)
+    return np.asarray(dilated, np.uint8)
 
 
 def _cells_in_view(

@@ -177,17 +177,20 @@ def test_a_stripe_that_may_hide_a_thing_is_not_freed_at_any_angle(angle_deg: flo
 @given(st.floats(0.0, 180.0), st.floats(-0.5, 0.5), st.integers(4, 17))
 @settings(max_examples=60, deadline=None)
 def test_a_stripe_that_is_much_thinner_than_a_thing_is_freed(angle_deg: float, off_px: float, cell: int) -> None:
-    """Things that are nearer than a metre are as wide as one at a metre."""
-    width_px = 0.6 * EUROC_HALF.K[0, 0] * HIDDEN_M / max(CELL_M * (cell + 1), 1.0)
+    """Things that are nearer than 0.83 m are as wide as there."""
+    width_px = 0.6 * EUROC_HALF.K[0, 0] * HIDDEN_M / max(CELL_M * (cell + 1), 0.83)
     depth = with_stripe(wall(3.95, EUROC_HALF), width_px, angle_deg, off_px)
     assert (depth == 0.0).sum() > 150.0 * width_px
     assert in_front_of(depth, CELL_M * (cell + 0.5)) == pytest.approx(FREE_LOG_ODDS)
 
 
-@pytest.mark.parametrize("width_px, free_to_m", [(4, 1.832), (5, 1.308), (6, 1.308), (7, 1.017), (8, 1.017), (9, 0.0)])
+@pytest.mark.parametrize(
+    "width_px, free_to_m",
+    [(4, 1.832), (5, 1.308), (6, 1.308), (7, 1.017), (8, 1.017), (9, 0.832), (10, 0.832), (11, 0.0), (40, 0.0)],
+)
 @pytest.mark.parametrize("behind_m", [0.0, 0.05])
 def test_a_stripe_is_freed_as_far_as_a_thing_would_be_wider(width_px: int, free_to_m: float, behind_m: float) -> None:
-    """With f = 229 px, 4 cm are 5, 7 and 9 px wide at 1.832, 1.309 and 1.018 m, where a cell must end."""
+    """With f = 229 px, 4 cm are 5, 7, 9 and 11 px wide at 1.832, 1.309, 1.018 and 0.833 m, where a cell must end."""
     depth = wall(3.95, EUROC_HALF)
     depth[:, 187 - (width_px - 1) // 2 : 188 + width_px // 2] = 0.0
     found = evidence(image(depth, pose((-behind_m, 0.0, 0.0)), 0.0, EUROC_HALF), CELL_M, 4.0)
