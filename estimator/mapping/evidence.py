@@ -6,14 +6,13 @@ distance of the cell, which has the nearest of the depths around it. A cell is o
 it. Behind surfaces nothing is known.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import reduce
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.mapping.holes import bands_between, without_holes
 from dronevio.estimator.mapping.nearest_depth import NearestDepths, Pixels, Values
 from dronevio.models.arrays import Array, Floats, Integers
 from dronevio.models.depth import DepthImage, Pinhole
@@ -26,32 +25,10 @@ FREE_SIGMAS = 1.5
 """Standard deviations in front of a depth of which nothing is said."""
 FULL_BLOCKS = 3.0
 """Number of blocks of pixels whose points in a cell are full evidence that it is occupied."""
-HOLE_PX = 13
-"""Length of holes in the depth that may hide a thing; an odd number [px]."""
-HIDDEN_M = 0.04
-"""Width of the thinnest thing that a hole is feared to hide near the camera [m]."""
-_DISCS_PX = (2, 3, 4, 5)
-"""Radii of the discs by which the width of holes is told, at most half of `HOLE_PX` [px]."""
 _MOST_OF_IMAGE = 0.25
 """Largest half side of a footprint, as a share of the image's height."""
 _LARGEST = 65535
 """Largest quantized depth, that of the range."""
-
-
-def _line(column: float, row: float) -> npt.NDArray[np.uint8]:
-    """Return the pixels of a line of `HOLE_PX` through the middle of a square, with steps of at most a pixel."""
-    half = HOLE_PX // 2
-    steps = np.arange(-half, half + 1)
-    line = np.zeros((HOLE_PX, HOLE_PX), np.uint8)
-    line[half + np.rint(row * steps).astype(int), half + np.rint(column * steps).astype(int)] = 1
-    return line
-
-
-_LINES = [_line(*steps) for steps in ((1, 0), (1, 0.5), (1, 1), (0.5, 1), (0, 1), (-0.5, 1), (-1, 1), (-1, 0.5))]
-"""Lines in eight directions, so that a stripe of a quarter of `HOLE_PX` is found at any angle."""
-_SQUARE, _CROSS = np.ones((3, 3), np.uint8), np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
-_STEPS = (_SQUARE, _CROSS, _CROSS, _CROSS, _SQUARE)
-"""Neighbourhoods by which a disc grows by a pixel each; a stripe 2 r + 1 pixels wide contains it at any angle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,41 +94,19 @@ def _add_free(
     # All pixels of which a part lies in the footprint
     radius = (np.maximum(np.take(of_column, u), np.take(of_row, v)) / (z - half_m) + np.float32(1.499)).astype(np.int32)
     # The nearest depth in them, by the holes that may hide a thing up to the far side of the cell
-    bands = _bands(depth.camera, near_m + float(half_m), far_m)
+    bands = bands_between(near_m + float(half_m), far_m, float(depth.camera.K[0, 0]))
+    free_to = _in_steps(depth.depth_m, depth.sigma_m, 1.0, -FREE_SIGMAS, far_m)
     sizes_px = (
         (int(np.ceil(least / band.end_m + 0.5)), min(largest_px, int(most / (band.begin_m - 2.0 * half_m) + 1.5)))
         for band in bands
     )
     windows = NearestDepths.of(
-        (free_to, *sizes) for free_to, sizes in zip(_free_to(depth, far_m, bands), sizes_px, strict=True)
+        (closed, *sizes) for closed, sizes in zip(without_holes(free_to, depth.known, bands), sizes_px, strict=True)
     )
     begins_m = np.array([band.begin_m for band in bands[:-1]], np.float32)
     number = np.count_nonzero(z + half_m <= begins_m[:, None], axis=0)
     is_free = (z + half_m) * np.float32(_LARGEST / far_m) <= windows.at(u, v, radius, number)
     log_odds[cells] = np.where(is_free, np.float32(FREE_LOG_ODDS), np.float32(0.0))
-
-
-@dataclass(frozen=True)
-class _Band:
-    """A range of depths in which the same holes may hide a thing."""
-
-    begin_m: float
-    """Its near end [m]."""
-    end_m: float
-    """Its far end [m]."""
-    disc_px: int
-    """Radius of the disc that such holes contain; 0 if they are all those that are not small [px]."""
-
-
-def _bands(camera: Pinhole, near_m: float, far_m: float) -> list[_Band]:
-    """Return the bands between two depths, from far to near.
-
-    A thing as wide as `HIDDEN_M` covers discs of radius r up to the depth f `HIDDEN_M` / (2 r + 1).
-    """
-    ends_m = [far_m, *(HIDDEN_M * float(camera.K[0, 0]) / (2 * disc_px + 1) for disc_px in _DISCS_PX), near_m]
-    limits_m = np.clip(ends_m, near_m, far_m).tolist()
-    bands = zip(limits_m[1:], limits_m[:-1], (0, *_DISCS_PX), strict=True)
-    return [_Band(begin_m, end_m, disc_px) for begin_m, end_m, disc_px in bands if begin_m < end_m]
 
 
 def _half_sides(camera: Pinhole, R: Array, axis: int, cell_m: float) -> Floats:
@@ -167,39 +122,6 @@ def _half_sides(camera: Pinhole, R: Array, axis: int, cell_m: float) -> Floats:
     slopes = (np.arange(size + 1) - 0.5 - camera.K[axis, 2]) / f  # at the edges of the pixels
     sides = 0.5 * cell_m * f * np.abs(R[:, axis] - slopes[:, None] * R[:, 2]).sum(axis=1)
     return np.asarray(np.maximum(sides[:-1], sides[1:]), np.float32)
-
-
-def _free_to(depth: DepthImage, far_m: float, bands: list[_Band]) -> Iterator[Values]:
-    """Yield up to which depth each pixel is free (H, W) in each band, in steps of ``far_m`` / 65535; 0 where unknown.
-
-    Matchers reject single pixels of smooth surfaces, and all pixels along thin things such as poles. A pixel of unknown
-    depth is therefore as near as its surroundings if no line through it is unknown for `HOLE_PX`, or if no disc of the
-    band that contains it is unknown, otherwise unknown. What lies outside the image is unknown.
-    """
-    free_to = _in_steps(depth.depth_m, depth.sigma_m, 1.0, -FREE_SIGMAS, far_m)
-    is_known = depth.known.view(np.uint8)
-    is_unknown = np.asarray(1 - is_known, np.uint8)
-    is_small = reduce(np.bitwise_and, (cv2.morphologyEx(is_known, cv2.MORPH_CLOSE, line) for line in _LINES))
-    around = cv2.erode(free_to - is_unknown, np.ones((HOLE_PX, HOLE_PX), np.uint8))  # 0 - 1 is the largest value
-    filled = free_to + around * is_unknown
-    inner, grown = is_unknown, 0  # where the middles of unknown discs are, and their radius
-    for band in bands:
-        inner = reduce(_eroded, _STEPS[grown : band.disc_px], inner)
-        grown = band.disc_px
-        is_wide = reduce(_dilated, _STEPS[:grown], inner)
-        yield np.asarray(filled * (is_small | (1 - is_wide)), np.uint16)
-
-
-def _eroded(image: npt.NDArray[np.uint8], neighbours: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """Return where all neighbours are one in an image (H, W) of zeros and ones that is surrounded by ones."""
-    eroded = cv2.erode(image, neighbours, borderType=cv2.BORDER_CONSTANT, borderValue=1)
-    return np.asarray(eroded, np.uint8)
-
-
-def _dilated(image: npt.NDArray[np.uint8], neighbours: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """Return where any neighbour is one in an image (H, W) of zeros and ones that is surrounded by ones."""
-    dilated = cv2.dilate(image, neighbours, borderType=cv2.BORDER_CONSTANT, borderValue=1)
-    return np.asarray(dilated, np.uint8)
 
 
 def _cells_in_view(

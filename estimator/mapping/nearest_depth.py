@@ -70,7 +70,7 @@ class NearestDepths:
 
 
 def _windows(values: Values, least_px: int, most_px: int) -> Iterable[tuple[Values, int, int]]:
-    """Yield the least values of windows, their reach from any pixel of the middle block [px], and log2 of the blocks."""
+    """Yield windows: least values, reach from any pixel of the middle block [px], log2 of the side of the blocks."""
     radius, reach_px, shift = max(1, least_px), 0, 0
     while not reach_px or reach_px < most_px:
         while _LEAST_BLOCKS << (shift + 1) <= radius:

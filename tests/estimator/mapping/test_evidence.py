@@ -9,12 +9,11 @@ from hypothesis import strategies as st
 from dronevio.estimator.mapping.evidence import (
     FREE_LOG_ODDS,
     FREE_SIGMAS,
-    HIDDEN_M,
-    HOLE_PX,
     OCCUPIED_LOG_ODDS,
     Evidence,
     evidence,
 )
+from dronevio.estimator.mapping.holes import HIDDEN_M, HOLE_PX
 from dronevio.estimator.mapping.nearest_depth import NearestDepths
 from dronevio.models.arrays import Array, Floats, Mask
 from dronevio.models.rotation import exp_so3
