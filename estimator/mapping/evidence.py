@@ -6,14 +6,13 @@ distance of the cell, which has the nearest of the depths around it. A cell is o
 it. Behind surfaces nothing is known.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import reduce
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.mapping.holes import bands_between, without_holes
 from dronevio.estimator.mapping.nearest_depth import NearestDepths, Pixels, Values
 from dronevio.models.arrays import Array, Floats, Integers
 from dronevio.models.depth import DepthImage, Pinhole
@@ -26,28 +25,10 @@ FREE_SIGMAS = 1.5
 """Standard deviations in front of a depth of which nothing is said."""
 FULL_BLOCKS = 3.0
 """Number of blocks of pixels whose points in a cell are full evidence that it is occupied."""
-HOLE_PX = 13
-"""Length of holes in the depth that may hide a thing; an odd number [px]."""
-HIDDEN_M = 0.04
-"""Width of the thinnest thing that a hole may hide, at any distance [m]."""
-_THIN_PX = (3, 5, 9, 17)
-"""Widths of holes that are told apart: a hole that is thinner than one of them hides nothing at distances at which
-`HIDDEN_M` is wider [px]."""
+_MOST_OF_IMAGE = 0.25
+"""Largest half side of a footprint, as a share of the image's height."""
 _LARGEST = 65535
 """Largest quantized depth, that of the range."""
-
-
-def _line(column: float, row: float) -> npt.NDArray[np.uint8]:
-    """Return the pixels of a line of `HOLE_PX` through the middle of a square, with steps of at most a pixel."""
-    half = HOLE_PX // 2
-    steps = np.arange(-half, half + 1)
-    line = np.zeros((HOLE_PX, HOLE_PX), np.uint8)
-    line[half + np.rint(row * steps).astype(int), half + np.rint(column * steps).astype(int)] = 1
-    return line
-
-
-_LINES = [_line(*steps) for steps in ((1, 0), (1, 0.5), (1, 1), (0.5, 1), (0, 1), (-0.5, 1), (-1, 1), (-1, 0.5))]
-"""Lines in eight directions, so that a stripe of a quarter of `HOLE_PX` is found at any angle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,30 +86,27 @@ def _add_free(
     half_m = np.float32(0.5 * cell_m * float(np.abs(R[:, 2]).sum()))
     of_column, of_row = (_half_sides(depth.camera, R, axis, cell_m) for axis in (0, 1))
     least, most = max(of_column.min(), of_row.min()), max(of_column.max(), of_row.max())
-    bands = _bands(depth.camera, far_m)
-    windows = [
-        NearestDepths.of(free_to, float(least) / end_m + 0.5) for end_m, free_to in _free_to(depth, far_m, bands)
-    ]
-    near_m = float(half_m + most / (min(each.reach_px[-1] for each in windows) - 0.5))
+    largest_px = int(_MOST_OF_IMAGE * depth.camera.height)
+    near_m = float(half_m + most / (largest_px - 0.5))
     if near_m >= far_m - half_m:
         return
     cells, z, u, v = _cells_in_view(low, shape, depth, cell_m, near_m, float(far_m - half_m))
     # All pixels of which a part lies in the footprint
     radius = (np.maximum(np.take(of_column, u), np.take(of_row, v)) / (z - half_m) + np.float32(1.499)).astype(np.int32)
-    ends = np.array([end_m for end_m, _ in bands[1:]], np.float32) - half_m
-    band = np.count_nonzero(z <= ends[:, None], axis=0)
-    nearest = np.zeros(len(z), np.uint16)
-    for number, each in enumerate(windows):
-        own = np.flatnonzero(band == number)
-        nearest[own] = each.at(u[own], v[own], radius[own])
-    is_free = (z + half_m) * np.float32(_LARGEST / far_m) <= nearest
+    # The nearest depth in them, by the holes that may hide a thing up to the far side of the cell
+    bands = bands_between(near_m + float(half_m), far_m, float(depth.camera.K[0, 0]))
+    free_to = _in_steps(depth.depth_m, depth.sigma_m, 1.0, -FREE_SIGMAS, far_m)
+    sizes_px = (
+        (int(np.ceil(least / band.end_m + 0.5)), min(largest_px, int(most / (band.begin_m - 2.0 * half_m) + 1.5)))
+        for band in bands
+    )
+    windows = NearestDepths.of(
+        (closed, *sizes) for closed, sizes in zip(without_holes(free_to, depth.known, bands), sizes_px, strict=True)
+    )
+    begins_m = np.array([band.begin_m for band in bands[:-1]], np.float32)
+    number = np.count_nonzero(z + half_m <= begins_m[:, None], axis=0)
+    is_free = (z + half_m) * np.float32(_LARGEST / far_m) <= windows.at(u, v, radius, number)
     log_odds[cells] = np.where(is_free, np.float32(FREE_LOG_ODDS), np.float32(0.0))
-
-
-def _bands(camera: Pinhole, far_m: float) -> list[tuple[float, int]]:
-    """Return bands of depth from far to near: the end of each [m], and the width of holes that hide nothing [px]."""
-    ends = ((HIDDEN_M * float(camera.K[0, 0]) / width_px, width_px) for width_px in _THIN_PX)
-    return [(far_m, 0), *((end_m, width_px) for end_m, width_px in ends if end_m < far_m)]
 
 
 def _half_sides(camera: Pinhole, R: Array, axis: int, cell_m: float) -> Floats:
@@ -144,27 +122,6 @@ def _half_sides(camera: Pinhole, R: Array, axis: int, cell_m: float) -> Floats:
     slopes = (np.arange(size + 1) - 0.5 - camera.K[axis, 2]) / f  # at the edges of the pixels
     sides = 0.5 * cell_m * f * np.abs(R[:, axis] - slopes[:, None] * R[:, 2]).sum(axis=1)
     return np.asarray(np.maximum(sides[:-1], sides[1:]), np.float32)
-
-
-def _free_to(depth: DepthImage, far_m: float, bands: list[tuple[float, int]]) -> Iterator[tuple[float, Values]]:
-    """Yield up to which depth each pixel is free (H, W) in each band, in steps of ``far_m`` / 65535; 0 where unknown.
-
-    Matchers reject single pixels of smooth surfaces, and all pixels along thin things such as poles. A pixel of unknown
-    depth is therefore as near as its surroundings if no line through it is unknown for `HOLE_PX`, or if no square of
-    unknown pixels of the width of the band contains it, otherwise unknown.
-    """
-    free_to = _in_steps(depth.depth_m, depth.sigma_m, 1.0, -FREE_SIGMAS, far_m)
-    is_known = depth.known.view(np.uint8)
-    is_unknown = np.asarray(1 - is_known, np.uint8)
-    around = cv2.erode(free_to - is_unknown, np.ones((HOLE_PX, HOLE_PX), np.uint8))  # 0 - 1 is the largest value
-    small = reduce(np.bitwise_and, (cv2.morphologyEx(is_known, cv2.MORPH_CLOSE, line) for line in _LINES))
-    for end_m, width_px in bands:
-        if width_px:
-            square = np.ones((width_px, width_px), np.uint8)
-            small = small | (cv2.morphologyEx(is_unknown, cv2.MORPH_OPEN, square, borderValue=1) == 0)
-        if width_px > HOLE_PX:
-            around = cv2.erode(free_to - is_unknown, np.ones((width_px, width_px), np.uint8))
-        yield end_m, np.asarray(np.where(depth.known, free_to, around * small), np.uint16)
 
 
 def _cells_in_view(

@@ -1,13 +1,16 @@
-"""Depth images of scenes by arithmetic."""
+"""Depth images of scenes by arithmetic, and what their evidence tells."""
 
 import numpy as np
 
-from dronevio.models.arrays import Array, Floats
+from dronevio.estimator.mapping.evidence import Evidence
+from dronevio.models.arrays import Array, Floats, Mask
 from dronevio.models.depth import DepthImage, Pinhole
 
 CAMERA = Pinhole(188, 120, np.array([[115.0, 0.0, 93.5], [0.0, 115.0, 59.5], [0.0, 0.0, 1.0]]))
 EUROC_HALF = Pinhole(376, 240, np.array([[229.0, 0.0, 187.5], [0.0, 229.0, 119.5], [0.0, 0.0, 1.0]]))
 
+CELL_M = 0.1
+"""Side of the cells [m]."""
 FORWARDS = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Orientation of a camera that looks along x, z up."""
 
@@ -52,3 +55,20 @@ def with_pole(
     root = b * b - a * c
     z = (b - np.sqrt(np.maximum(root, 0.0))) / a
     return np.where((root >= 0.0) & (z < depth_m), z, depth_m).astype(np.float32)
+
+
+def in_camera(found: Evidence, selected: Mask, T_odom_cam: Array, cell_m: float = CELL_M) -> Array:
+    """Return all corners (N, 8, 3) of selected cells in the camera frame."""
+    offsets = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    corners = ((np.argwhere(selected) + found.low)[:, None] + offsets) * cell_m
+    return np.asarray((corners - T_odom_cam[:3, 3]) @ T_odom_cam[:3, :3])
+
+
+def value_at(found: Evidence, point: tuple[float, float, float], cell_m: float = CELL_M) -> float:
+    """Return the log-odds that are added to the cell of a point [m]."""
+    return float(found.log_odds[tuple(np.floor(np.array(point) / cell_m).astype(int) - found.low)])
+
+
+def found_free(found: Evidence) -> Mask:
+    """Return which cells (X, Y, Z) of the box are seen to be free."""
+    return np.asarray(found.log_odds < 0.0)

@@ -8,29 +8,25 @@ from hypothesis import strategies as st
 from dronevio.estimator.mapping.evidence import (
     FREE_LOG_ODDS,
     FREE_SIGMAS,
-    HOLE_PX,
     OCCUPIED_LOG_ODDS,
-    Evidence,
     evidence,
 )
-from dronevio.estimator.mapping.nearest_depth import NearestDepths
-from dronevio.models.arrays import Array, Floats, Mask
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3
-from tests.estimator.mapping.scenes import CAMERA, EUROC_HALF, FORWARDS, image, pose, wall, with_box, with_pole
-
-CELL_M = 0.1
-
-
-def in_camera(found: Evidence, selected: Mask, T_odom_cam: Array, cell_m: float = CELL_M) -> Array:
-    """Return all corners (N, 8, 3) of selected cells in the camera frame."""
-    offsets = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-    corners = ((np.argwhere(selected) + found.low)[:, None] + offsets) * cell_m
-    return np.asarray((corners - T_odom_cam[:3, 3]) @ T_odom_cam[:3, :3])
-
-
-def value_at(found: Evidence, point: tuple[float, float, float], cell_m: float = CELL_M) -> float:
-    return float(found.log_odds[tuple(np.floor(np.array(point) / cell_m).astype(int) - found.low)])
-
+from tests.estimator.mapping.scenes import (
+    CAMERA,
+    CELL_M,
+    EUROC_HALF,
+    FORWARDS,
+    found_free,
+    image,
+    in_camera,
+    pose,
+    value_at,
+    wall,
+    with_box,
+    with_pole,
+)
 
 rotations = st.tuples(*[st.floats(-3.0, 3.0)] * 3).map(lambda w: exp_so3(np.array(w)))
 positions = st.tuples(*[st.floats(-20.0, 20.0)] * 3)
@@ -65,10 +61,6 @@ def test_nothing_is_free_that_any_ray_does_not_pass(R: Array, position: Array, s
     for a, b, c, d, z in zip(first_u, last_u, first_v, last_v, deepest, strict=True):
         footprint = depth[c : d + 1, a : b + 1]
         assert footprint.size == 0 or z <= footprint.min() - FREE_SIGMAS * sigma_m + 1e-4
-
-
-def found_free(found: Evidence) -> Mask:
-    return np.asarray(found.log_odds < 0.0)
 
 
 @given(rotations, st.tuples(*[st.integers(-300, 300)] * 3), st.integers(0, 1000))
@@ -123,61 +115,6 @@ def test_an_error_of_the_depth_widens_what_is_unknown() -> None:
     assert 0.0 < value_at(unsure, (3.05, 0.05, 0.05)) < 0.2 * value_at(sure, (3.05, 0.05, 0.05))
 
 
-def test_a_pole_of_unknown_depth_in_front_of_a_known_wall_is_not_freed() -> None:
-    with_it = with_pole(wall(3.95), 2.0, 0.02)
-    unknown = np.where(with_it < 3.0, 0.0, with_it)
-    found = evidence(image(unknown, pose((0.0, 0.0, 0.0))), CELL_M, 4.0)
-    for z in (0.55, 1.05, 1.95, 2.05):
-        assert value_at(found, (z, 0.0, 0.05)) == 0.0
-    assert value_at(found, (2.05, 0.35, 0.05)) < 0.0
-
-
-def with_hole(depth_m: Floats, columns: slice, rows: slice) -> Floats:
-    holed = depth_m.copy()
-    holed[rows, columns] = 0.0
-    return holed
-
-
-def test_rejected_pixels_of_a_wall_do_not_block_what_is_in_front_of_it() -> None:
-    whole = wall(3.05, EUROC_HALF)
-    holed = np.where(np.random.default_rng(0).random(whole.shape) < 0.3, np.float32(0.0), whole)
-    free, free_with_holes = (
-        found_free(evidence(image(depth, pose((0.0, 0.0, 0.0)), 0.02, EUROC_HALF), CELL_M, 4.0))
-        for depth in (whole, holed)
-    )
-    assert (free & ~free_with_holes).sum() < 0.001 * free.sum()
-    assert not (free_with_holes & ~free).any()
-
-
-@pytest.mark.parametrize("angle_deg", np.arange(0.0, 180.0, 7.5))
-def test_a_stripe_of_unknown_depth_is_not_freed_at_any_angle(angle_deg: float) -> None:
-    """As wide as a pole of a pixel with the bands in which a matcher sees two surfaces."""
-    depth, angle = wall(3.95, EUROC_HALF), np.deg2rad(angle_deg)
-    v, u = np.indices(depth.shape)
-    K = EUROC_HALF.K
-    depth[np.abs((u - K[0, 2]) * np.cos(angle) - (v - K[1, 2]) * np.sin(angle)) <= 3.5] = 0.0
-    found = evidence(image(depth, pose((0.0, 0.0, 0.0)), 0.0, EUROC_HALF), CELL_M, 4.0)
-    for x in (0.55, 1.05, 2.05, 2.95):
-        assert value_at(found, (x, 0.0, 0.05)) == 0.0
-
-
-@pytest.mark.parametrize("side_px, expected", [(HOLE_PX - 2, FREE_LOG_ODDS), (HOLE_PX + 2, 0.0)])
-def test_only_a_small_hole_is_closed(side_px: int, expected: float) -> None:
-    """A hole that is seen in the middle of the image, wider than the footprint of the cell."""
-    columns, rows = (slice(c - side_px // 2, c - side_px // 2 + side_px) for c in (187, 119))
-    depth = image(with_hole(wall(3.95, EUROC_HALF), columns, rows), pose((0.0, 0.0, 0.0)), 0.0, EUROC_HALF)
-    assert value_at(evidence(depth, 0.05, 4.0), (2.525, 0.0, 0.0), 0.05) == pytest.approx(expected)
-
-
-def test_a_hole_has_the_nearest_depth_beside_it() -> None:
-    depth = wall(3.95, EUROC_HALF)
-    depth[:, 194:] = 2.0
-    holed = with_hole(depth, slice(182, 193), slice(114, 125))
-    found = evidence(image(holed, pose((0.0, 0.0, 0.0)), 0.0, EUROC_HALF), 0.05, 4.0)
-    assert value_at(found, (1.525, 0.0, 0.0), 0.05) == pytest.approx(FREE_LOG_ODDS)
-    assert value_at(found, (3.025, 0.0, 0.0), 0.05) == 0.0
-
-
 @pytest.mark.parametrize("diameter_m", [0.02, 0.04, 0.08])
 @pytest.mark.parametrize("distance_m", [1.0, 2.0, 3.0, 3.9])
 def test_poles_are_occupied_at_any_pixel(diameter_m: float, distance_m: float) -> None:
@@ -210,18 +147,3 @@ def test_nothing_is_said_beyond_the_range() -> None:
 
 def test_an_image_without_depth_says_nothing() -> None:
     assert evidence(image(wall(0.0), pose((0.0, 0.0, 0.0))), CELL_M, 4.0).log_odds.size == 0
-
-
-@given(st.integers(0, 1000), st.integers(30, 45), st.integers(30, 45), st.integers(1, 12))
-@settings(max_examples=50, deadline=None)
-def test_windows_reach_as_far_as_asked(seed: int, height: int, width: int, least_px: int) -> None:
-    rng = np.random.default_rng(seed)
-    values = rng.integers(1, 60000, (height, width)).astype(np.uint16)
-    windows = NearestDepths.of(values, float(least_px))
-    radius = int(rng.integers(1, windows.reach_px[-1] + 1))
-    v, u = (axis.ravel().astype(np.int32) for axis in np.indices(values.shape))
-    least = windows.at(u, v, np.full(u.shape, radius, np.int32))
-    for column, row, value in zip(u, v, least, strict=True):
-        square = values[max(0, row - radius) : row + radius + 1, max(0, column - radius) : column + radius + 1]
-        assert value <= square.min()
-        assert value == 0 or square.size == (2 * radius + 1) ** 2
