@@ -102,8 +102,8 @@ def fly_closed_loop(
     """Simulate a scenario with an estimator, whose state the pilot receives, until the end or a collision.
 
     The vehicle stands on its pad, with the rotors stopped, until the estimator has a state; the pose at the start of
-    the course places the estimate in the world. A scenario that starts in motion is flown on the true state until the first
-    estimate, which the true pose places in the world.
+    the course places the estimate in the world. A scenario that starts in motion is flown on the true state until the
+    first estimate, which the true pose places in the world.
 
     Args:
         scenario: The scenario to simulate; the estimator should have its calibrated rig.

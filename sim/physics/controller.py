@@ -65,9 +65,7 @@ class SE3Controller:
         loads = cascade.loads(self._state, body)
         if self._has_taken_off(point):
             self._observe(body, loads)
-        force = cascade.specific_force(
-            self._state, body, point.position_m, point.velocity_m_s, point.acceleration_m_s2
-        )
+        force = cascade.specific_force(self._state, body, point.position_m, point.velocity_m_s, point.acceleration_m_s2)
         R_desired = attitude_along(force, point.yaw_rad)
         acceleration = cascade.angular_acceleration(
             self._state, body, R_desired, point.rate_rad_s, point.angular_acceleration_rad_s2
