@@ -124,8 +124,8 @@ DENSE_MAP: OptionTable = MappingProxyType(
 
 EXPLORE: OptionTable = MappingProxyType(
     {
-        "limits.speed-m-s": "The space is narrow or its surfaces have little texture (decrease it), or it is open (up to"
-        " 2.5 m/s: depth is used to 4 m).",
+        "limits.speed-m-s": "The space is narrow or its surfaces have little texture (decrease it), or it is open (up"
+        " to 2.5 m/s: depth is used to 4 m).",
         "lowest-m": "The drone should fly above tables or through low openings.",
         "highest-m": "Ways lead over obstacles (increase it), or the drone has to stay low (decrease it).",
         "body.radius-m": "The vehicle is larger or smaller than the research quadrotor, or doors are narrower than a"
