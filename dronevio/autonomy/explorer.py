@@ -63,6 +63,8 @@ _AHEAD_M = 1.5  # along the route, where the vehicle looks
 _ASKEW_RAD = radians(50.0)  # between heading and route, from where on the vehicle turns before it flies
 _SLOW_M_S = 0.5  # while it turns
 _STILL_M_S = 0.1
+GOAL_M = 0.5
+"""Distance from the goal within which a flight must end."""
 _NEAR_M = 0.25  # from the goal, where it is reached
 _LEAST_STEP_M, _PROGRESS_M = 0.15, 0.6  # lengths of a plan that is worth to be flown, and that leads on
 _STOP_AFTER_NS, _LAND_AFTER_NS = 300_000_000, 1_000_000_000  # without depth
@@ -196,7 +198,7 @@ class Explorer:
         self._route_map: Array | None = None
         self._given_up = np.zeros((0, 3))
         self._retries = _RETRIES
-        self._peeks = self._peeking_until_ns = 0
+        self._peeks = self._peeking_until_ns = self._to_floor_until_ns = 0
         self._depth_ns = 0
         self._variances: deque[tuple[int, float]] = deque()
         self._plan_due_ns = self._route_due_ns = self._progress_ns = 0
@@ -330,6 +332,13 @@ class Explorer:
             self._turn_back(m)
             self._follow(m, stop(space, m.start, m.body, c.limits), self._turn(m, None))
             return
+        # Where the body has no room at the goal, the path ends at the nearest place.
+        if np.linalg.norm(m.start[0] - path[-1]) < _NEAR_M and m.speed_m_s < _STILL_M_S:
+            if np.linalg.norm(path[-1] - goal_odom) <= GOAL_M:
+                self._arrive(m)
+            else:
+                self._turn_back(m)
+            return
         self._fly_along(m, space, sampled(path, m.start[0], c.horizon_m))
 
     @property
@@ -420,6 +429,9 @@ class Explorer:
         assert m.grid is not None
         points = around(ahead[:10], self._settings.body, m.grid.cell_m)
         unseen = np.unique(m.grid.cells(points[m.grid.at(points) == UNKNOWN]), axis=0)
+        if not len(unseen):  # all is known, and the body does not fit
+            self._turn_back(m)
+            return
         self._say(f"give up {len(unseen)} cells of the route, which cannot be seen")
         self._given_up = np.concatenate([self._given_up, moved(m.T_map_odom, m.grid.centres(unseen))])
         self._route_due_ns, self._progress_ns = m.now_ns, m.now_ns
@@ -443,6 +455,8 @@ class Explorer:
     def _brake_and_land(self, m: _Moment, why: str, is_lost: bool) -> None:
         """Stop, then land: here if the estimate is lost, else where level floor was observed, else not yet."""
         space = None if m.grid is None else LocalSpace.of(m.grid, m.body, m.start[0])
+        if m.now_ns < self._to_floor_until_ns and not is_lost:
+            return
         if m.speed_m_s > 0.5 * _STILL_M_S:
             self._say(f"{why}: brake")
             limits = self._settings.limits
@@ -460,6 +474,7 @@ class Explorer:
             trajectory_there = trajectory_along(space, place[None], m.start, m.body, self._settings.limits)
             if trajectory_there is not None:
                 self._follow(m, trajectory_there, self._turn(m, None))
+                self._to_floor_until_ns = m.begins_ns + round(1e9 * trajectory_there.duration_s)
 
     def _land(self, m: _Moment, why: str) -> None:
         """Descend and stop the rotors."""

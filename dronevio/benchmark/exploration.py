@@ -23,7 +23,7 @@ from dronevio.models.progress import Progress, silent
 RESULTS_FILE = "flights.jsonl"
 """File of the flights, one JSON document on each line."""
 GOAL_M = 0.5
-"""Distance from the goal at the end within which it is reached [m]."""
+"""True distance from the goal at the end within which it is reached [m]."""
 CONFIDENCE = 0.95
 _WORLDS = ("room", "forest", "warehouse", "corridor", "office")
 _FIRST = 1000

@@ -35,6 +35,7 @@ from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from dronevio.models.rotation import pose_matrix, rotation_z
 from dronevio.models.state import CameraFrame, Estimate, NavState
 from dronevio.sim.closed_loop.flight import fly_closed_loop
+from dronevio.sim.faults import Faults
 from dronevio.sim.flight import Flight
 from dronevio.sim.paths.limits import Limits
 
@@ -332,6 +333,21 @@ def test_goal_behind_walls_is_unreachable_and_the_vehicle_returns_home() -> None
     assert found.scores.outcome == "unreachable" and not found.scores.collided
     home = found.flight.truth.p_world_imu[-1]
     assert np.linalg.norm(home[:2]) < 0.3 and home[2] < 0.3
+
+
+def test_goal_without_room_for_the_body_is_not_circled() -> None:
+    found = explore("room", (1.0, -2.0, 1.0), without_images=RaySensing(), longest_s=60.0)
+    assert found.scores.outcome in ("reached", "unreachable") and not found.scores.collided
+    assert found.scores.time_s < 40.0
+
+
+def test_without_light_the_vehicle_lands_on_observed_floor() -> None:
+    scenario = replace(exploration_scenario("warehouse", 3), faults=Faults(dark_from_s=17.0, dark_for_s=60.0))
+    found = explore(scenario, longest_s=60.0, without_images=RaySensing())
+    said = [each.what for each in found.decisions]
+    assert found.scores.outcome == "lost" and not found.scores.collided
+    assert said.count("no depth: brake") <= 1 and said[-1] == "no depth: land"
+    assert found.flight.truth.p_world_imu[-1, 2] < 0.3
 
 
 class Jumping:
