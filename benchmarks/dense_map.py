@@ -4,9 +4,10 @@
 SLAM, and of the true depth on the true poses. The dangerous error is false free space: of the true surface that the
 camera saw within 2 m of the path, the share that is more than one cell from every cell that is not free; in the fused
 map at the end, and in the local map, pooled over its uses once a second. The fused map is aligned with the truth by the
-path in position and yaw, the local map by the newest pose. Maps on true poses have an odometry frame that is turned and
-shifted, so that walls do not lie between cells. The size is that of the packed submaps by the volume of known cells.
-Flights are recorded with a stereo rig and the true depth.
+path in position and yaw, the local map by the newest pose. *Near free* is the share of the true free space in the
+middle of the view, at depths of 0.5 to 1.5 m, that the local map knows at those times. Maps on true poses have an
+odometry frame that is turned and shifted, so that walls do not lie between cells. The size is that of the packed
+submaps by the volume of known cells. Flights are recorded with a stereo rig and the true depth.
 
 ``poles`` flies towards poles of 2, 4 and 8 cm at several places. ``movers`` counts what people and carts leave behind.
 ``loop`` compares the map of a flight that comes back, whose odometry is given more drift, with the same map without the
@@ -41,7 +42,7 @@ from measuring import Row, opened, print_as_made, text
 from dronevio.estimator.mapping import DenseMapConfig
 from dronevio.eval.metrics.occupancy import are_falsely_free, state_shares, surface_scores
 from dronevio.models.arrays import Array, Mask
-from dronevio.models.occupancy import UNKNOWN, OccupancyGrid
+from dronevio.models.occupancy import FREE, UNKNOWN, OccupancyGrid
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.state import Trajectory
 from dronevio.sim.scenarios import scenario_named
@@ -51,6 +52,8 @@ BOUNDS = {"true poses": 1e-4, "estimate": 1e-3}
 MIN_SAMPLES = 10_000
 """Smallest number of surface samples of a world."""
 _LOCAL_EVERY_S = 1.0
+_NEAR_M, _NEAR_SLOPE = (0.5, 1.5), np.array([0.6, 0.35])
+"""Depths [m], and largest x / z and y / z, of the free space in front of the camera that is checked."""
 
 
 @dataclass(frozen=True)
@@ -118,21 +121,25 @@ class LongCommand:
 
 @dataclass(eq=False)
 class LocalChecks:
-    """False free space of the local maps of a flight at the times of their use."""
+    """False free space, and the known free space in front of the camera, of the local maps of a flight while used."""
 
     seen: SeenSpace
     """What the camera saw."""
     truth: Trajectory
     """The true trajectory."""
+    T_imu_cam: Array
+    """(4, 4) Pose of the camera in the IMU frame."""
     last_ns: dict[str, int] = field(default_factory=dict)
     """Time of the newest check of each map [ns]."""
     counts: dict[str, Array] = field(default_factory=lambda: defaultdict(lambda: np.zeros(2)))
     """Numbers of falsely free samples and of all samples, by map."""
+    near: dict[str, Array] = field(default_factory=lambda: defaultdict(lambda: np.zeros(2)))
+    """Numbers of points of near free space that are known to be free, and of all, by map."""
 
     def __call__(self, name: str, run: MapRun) -> None:
         """Check the local map of a run if the newest check is long ago."""
-        t_ns, grid = run.t_ns[-1], run.mapper.local_map
-        if grid is None or t_ns - self.last_ns.get(name, -(10**12)) < _LOCAL_EVERY_S * 1e9:
+        t_ns, grid, T_odom_imu = run.t_ns[-1], run.mapper.local_map, run.estimates[-1].T_odom_imu
+        if grid is None or T_odom_imu is None or t_ns - self.last_ns.get(name, -(10**12)) < _LOCAL_EVERY_S * 1e9:
             return
         self.last_ns[name] = t_ns
         T = run.T_grid_world(self.truth)
@@ -140,13 +147,24 @@ class LocalChecks:
         inside = np.all((points > grid.low_m) & (points < grid.high_m), axis=1)
         wrong = are_falsely_free(grid, points[inside])
         self.counts[name] += wrong.sum(), len(wrong)
+        free = self.seen.free @ T[:3, :3].T + T[:3, 3]
+        near = free[_are_near(free, T_odom_imu @ self.T_imu_cam)]
+        self.near[name] += (grid.at(near) == FREE).sum(), len(near)
+
+
+def _are_near(points: Array, T_odom_cam: Array) -> Mask:
+    """Return which points (N, 3) are in the middle of the view of a camera and near to it."""
+    rays = (points - T_odom_cam[:3, 3]) @ T_odom_cam[:3, :3]
+    low_m, high_m = _NEAR_M
+    near = (rays[:, 2] > low_m) & (rays[:, 2] < high_m)
+    return np.asarray(near & np.all(np.abs(rays[:, :2]) < rays[:, 2:] * _NEAR_SLOPE, axis=1))
 
 
 def rows_of(folder: Path, command: WorldsCommand) -> Iterator[Row]:
     """Yield the rows of the maps of a flight."""
     recording, truth = opened(folder, 2)
     seen = seen_space(folder, truth, recording.rig.cameras[0], recording.frame_times_ns[::2], command.dense.range_m)
-    checks = LocalChecks(seen, truth)
+    checks = LocalChecks(seen, truth, recording.rig.cameras[0].T_imu_cam)
     for name, run in runs_of(folder, recording, command.dense, checks).items():
         grid = run.mapper.fused()
         if grid is None:
@@ -160,6 +178,8 @@ def rows_of(folder: Path, command: WorldsCommand) -> Iterator[Row]:
             print_worst(seen.surface[entered], wrong, command.worst)
         known_m3 = float((grid.states != UNKNOWN).sum()) * grid.cell_m**3
         row = row_of(folder.name, name, grid, wrong, checks.counts[name], surface, seen, (R, t))
+        known, points = checks.near[name]
+        row = {**row, "near free": percent(known / max(points, 1.0), 1)}
         yield {**row, "MB per 1000 m³": text(1e-3 * run.mapper.packed_bytes / known_m3, ".2f")}
 
 

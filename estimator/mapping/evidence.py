@@ -104,7 +104,7 @@ def _add_free(
         (closed, *sizes) for closed, sizes in zip(without_holes(free_to, depth.known, bands), sizes_px, strict=True)
     )
     begins_m = np.array([band.begin_m for band in bands[:-1]], np.float32)
-    number = np.count_nonzero(z + half_m <= begins_m[:, None], axis=0)
+    number = np.asarray((z + half_m <= begins_m[:, None]).sum(axis=0, dtype=np.int32))
     is_free = (z + half_m) * np.float32(_LARGEST / far_m) <= windows.at(u, v, radius, number)
     log_odds[cells] = np.where(is_free, np.float32(FREE_LOG_ODDS), np.float32(0.0))
 

@@ -54,7 +54,7 @@ class NearestDepths:
         place = np.array([_place(radii, reach, first << 4 | _NOWHERE) for reach in reaches], np.int32)
         return NearestDepths(least, place)
 
-    def at(self, column: Pixels, row: Pixels, radius_px: Pixels, image: npt.NDArray[np.integer]) -> Values:
+    def at(self, column: Pixels, row: Pixels, radius_px: Pixels, image: Pixels) -> Values:
         """Return the least values (N,) in windows around pixels; 0 for windows that are larger than any that is kept.
 
         Args:
@@ -64,7 +64,7 @@ class NearestDepths:
             image: (N,) Numbers of the images.
         """
         sizes = self.place.shape[1]
-        place = np.take(self.place, image.astype(np.int32) * sizes + np.minimum(radius_px, sizes - 1))
+        place = np.take(self.place, image * sizes + np.minimum(radius_px, sizes - 1))
         shift = place & 15
         return np.asarray(np.take(self.least, (place >> 4) + (row >> shift) * self.least.shape[1] + (column >> shift)))
 

@@ -7,12 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.estimator.mapping.evidence import FREE_LOG_ODDS, evidence
-from dronevio.estimator.mapping.holes import HIDDEN_M, HOLE_PX
+from dronevio.estimator.mapping.holes import HIDDEN_M, HOLE_PX, Band, without_holes
 from dronevio.models.arrays import Array, Floats
 from dronevio.models.rotation import exp_so3
 from tests.estimator.mapping.scenes import (
     CELL_M,
     EUROC_HALF,
+    FORWARDS,
     found_free,
     image,
     in_camera,
@@ -99,7 +100,20 @@ def test_a_stripe_is_freed_as_far_as_a_thing_would_be_wider(width_px: int, free_
         assert value_at(found, (CELL_M * (cell + 0.5), 0.0, 0.05)) == pytest.approx(expected), cell
 
 
-@pytest.mark.parametrize("width_px", [3, 8])
+@pytest.mark.parametrize("yaw_rad", [0.0, 0.3, 1.0])
+def test_the_rims_of_a_stripe_that_may_hide_a_thing_are_not_freed(yaw_rad: float) -> None:
+    """At 1.31 to 1.83 m, 4 cm are at least 5 px wide, as the stripe is; cells of 5 cm are seen beside it."""
+    depth, K = wall(3.95, EUROC_HALF), EUROC_HALF.K
+    T = pose((0.02, 0.03, 0.04), exp_so3(np.array([0.0, 0.0, yaw_rad])) @ FORWARDS)
+    depth[:, 185:190] = 0.0
+    found = evidence(image(depth, T, 0.0, EUROC_HALF), 0.05, 4.0)
+    corners = in_camera(found, found_free(found), T, 0.05)
+    u, end_m = K[0, 0] * corners[..., 0] / corners[..., 2] + K[0, 2], corners[..., 2].max(axis=1)
+    beside_px = np.maximum(u.min(axis=1) - 189.5, 184.5 - u.max(axis=1))[(end_m > 1.31) & (end_m < 1.83)]
+    assert 0.5 <= beside_px.min() < 3.0
+
+
+@pytest.mark.parametrize("width_px", [3, 6, 10])
 def test_a_hole_at_the_edge_of_the_image_is_not_freed(width_px: int) -> None:
     """It goes on beyond the edge, so that it may be wide."""
     depth, K, T = wall(3.95, EUROC_HALF), EUROC_HALF.K, pose((0.0, 0.0, 0.0))
@@ -109,10 +123,20 @@ def test_a_hole_at_the_edge_of_the_image_is_not_freed(width_px: int) -> None:
         found = evidence(image(each, T, 0.0, EUROC_HALF), 0.05, 4.0)
         corners = in_camera(found, found_free(found), T, 0.05)
         u = K[0, 0] * corners[..., 0] / corners[..., 2] + K[0, 2]
-        leftmost_px.append(u.min(axis=1)[corners[..., 2].max(axis=1) < 1.0])
+        leftmost_px.append(u.min(axis=1))
     known, unknown = leftmost_px
     assert (known < width_px - 0.5).sum() > 10
     assert unknown.min() >= width_px - 0.5
+
+
+@pytest.mark.parametrize("disc_px", [2, 3, 4, 5])
+def test_half_of_a_disc_may_lie_beyond_the_edge_of_the_image(disc_px: int) -> None:
+    """A stripe that is a pixel narrower than the disc is closed inside the image, not at its edge."""
+    values, width_px = np.full((60, 80), 1000, np.uint16), 2 * disc_px
+    values[:, :width_px] = values[:, 40 : 40 + width_px] = 0
+    (closed,) = without_holes(values, values > 0, [Band(0.5, 1.0, disc_px)])
+    assert not closed[:, :width_px].any()
+    assert (closed[disc_px:-disc_px, width_px:] == 1000).all()
 
 
 @given(rotations, st.integers(0, 1000), st.floats(0.0, 0.6), st.integers(1, 30))

@@ -18,7 +18,7 @@ def test_windows_reach_as_far_as_asked(seed: int, height: int, width: int, least
     v, u = (axis.ravel().astype(np.int32) for axis in np.indices((height, width)))
     for image_number, (values, most) in enumerate(zip(images, most_px, strict=True)):
         radius = int(rng.integers(1, most + 1))
-        numbers = np.full(u.shape, image_number)
+        numbers = np.full(u.shape, image_number, np.int32)
         least = windows.at(u, v, np.full(u.shape, radius, np.int32), numbers)
         for column, row, value in zip(u, v, least, strict=True):
             square = values[max(0, row - radius) : row + radius + 1, max(0, column - radius) : column + radius + 1]
@@ -33,6 +33,6 @@ def test_a_window_of_few_pixels_is_exact() -> None:
     values = np.arange(1, 401, dtype=np.uint16).reshape(20, 20)
     windows = NearestDepths.of([(values, 1, 1), (values + np.uint16(1000), 2, 3)])
     at = np.array([10, 10, 10, 10, 1, 2], np.int32)
-    radius, number = np.array([1, 2, 3, 2, 2, 2], np.int32), np.array([0, 1, 1, 0, 1, 1])
+    radius, number = np.array([1, 2, 3, 2, 2, 2], np.int32), np.array([0, 1, 1, 0, 1, 1], np.int32)
     # Row 10, column 10 is 211; row 9, column 9 is 190, and so on; the smallest window of the first image reaches 1 px
     assert windows.at(at, at, radius, number).tolist() == [190, 1169, 1148, 0, 0, 1001]
