@@ -63,6 +63,7 @@ _AHEAD_M = 1.5  # along the route, where the vehicle looks
 _ASKEW_RAD = radians(50.0)  # between heading and route, from where on the vehicle turns before it flies
 _SLOW_M_S = 0.5  # while it turns
 _STILL_M_S = 0.1
+_REST = np.array([1e-3, 1e-2])  # speed and acceleration at rest [m/s, m/s²]
 GOAL_M = 0.5
 """Distance from the goal within which a flight must end."""
 _NEAR_M = 0.25  # from the goal, where it is reached
@@ -157,6 +158,11 @@ class _Moment:
     def speed_m_s(self) -> float:
         """Speed at the start [m/s]."""
         return float(np.linalg.norm(self.start[1]))
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether the vehicle stands still at the start, so that another motion can begin from rest without a step."""
+        return bool(np.all(np.linalg.norm(self.start[1:3], axis=1) < _REST))
 
     def from_world(self, points: Array) -> Array:
         """Return points (…, 3) of the world in the odometry frame."""
@@ -330,7 +336,8 @@ class Explorer:
         path = self._path(m, goal)
         if path is None:
             self._turn_back(m)
-            self._follow(m, stop(space, m.start, m.body, c.limits), self._turn(m, None))
+            if self._ends_ns is None:
+                self._follow(m, self._halt(m, space), self._turn(m, None))
             return
         # Where the body has no room at the goal, the path ends at the nearest place.
         if np.linalg.norm(m.start[0] - path[-1]) < _NEAR_M and m.speed_m_s < _STILL_M_S:
@@ -355,7 +362,7 @@ class Explorer:
         is_askew = toward is not None and abs(remainder(turn.yaw_rad + turn.angle_rad - m.yaw_rad, 2 * pi)) > _ASKEW_RAD
         if is_askew and m.speed_m_s < _STILL_M_S:
             self._say("turn")
-            self._follow(m, at_rest(m.start[0]), turn)
+            self._follow(m, self._halt(m, space), turn)
             self._progress_ns = m.now_ns
             return
         limits = replace(c.limits, speed_m_s=max(_SLOW_M_S, 0.8 * m.speed_m_s)) if is_askew else c.limits
@@ -375,9 +382,13 @@ class Explorer:
             self._follow(m, stop(space, m.start, m.body, c.limits), turn)
         elif m.speed_m_s < _STILL_M_S:
             self._say("look")
-            self._follow(m, at_rest(m.start[0]), turn)
+            self._follow(m, self._halt(m, space), turn)
             if m.now_ns - self._progress_ns > _STUCK_NS:
                 self._try_otherwise(m, space, ahead, turn)
+
+    def _halt(self, m: _Moment, space: LocalSpace) -> CorridorTrajectory:
+        """Return the trajectory to rest, or at rest."""
+        return at_rest(m.start[0]) if m.is_at_rest else stop(space, m.start, m.body, self._settings.limits)
 
     def _path(self, m: _Moment, goal: Array) -> Array | None:
         """Return the path to a goal (3,) of the map in the odometry frame; None if it is unreachable.
@@ -457,7 +468,7 @@ class Explorer:
         space = None if m.grid is None else LocalSpace.of(m.grid, m.body, m.start[0])
         if m.now_ns < self._to_floor_until_ns and not is_lost:
             return
-        if m.speed_m_s > 0.5 * _STILL_M_S:
+        if not m.is_at_rest:
             self._say(f"{why}: brake")
             limits = self._settings.limits
             trajectory = braking(m.start, limits) if space is None else stop(space, m.start, m.body, limits)
@@ -477,7 +488,10 @@ class Explorer:
                 self._to_floor_until_ns = m.begins_ns + round(1e9 * trajectory_there.duration_s)
 
     def _land(self, m: _Moment, why: str) -> None:
-        """Descend and stop the rotors."""
+        """Descend and stop the rotors, once the vehicle is at rest."""
+        if not m.is_at_rest:
+            self._follow(m, braking(m.start, self._settings.limits), self._turn(m, None))
+            return
         self._say(why)
         course, above = self._course, moved(m.T_world_odom, m.start[0])
         down = straight(above, np.append(above[:2], self._stand[2] - _SINK_M), _DESCENT_M_S)
