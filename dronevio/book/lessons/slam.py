@@ -49,7 +49,7 @@ SEED = 1
 # camera of 10 Hz. Its IMU has five times the noise of EuRoC's, which its
 # calibration states, and the scale of its gyroscope errs by 1 %, which the
 # calibration does not state. A typical data sheet allows as much
-# (`dronevio.models.imu_presets`).
+# (`dronevio.models.imu_presets.imu_named`).
 
 # %%
 GYRO_SCALE = 1.01
@@ -648,16 +648,16 @@ plt.show()
 # ## 6. VisualSlam
 #
 # `VisualSlam` has closed the loop during the flight. It does the same with more
-# care (`dronevio.estimator.slam.mapper`): a place counts when a second keyframe
+# care (`dronevio.estimator.slam.mapper.Mapper`): a place counts when a second keyframe
 # confirms it (`dronevio.estimator.slam.PlaceRecognizer`). The pose is measured
 # again by patches around the landmarks
-# (`dronevio.estimator.slam.places.localization`). The covariances of the
-# factors are those that the odometry knows, and a few of them hold gravity
-# (`dronevio.estimator.slam.map.odometry_factors`). Graduated non-convexity
+# (`dronevio.estimator.slam.places.localization.Localizer`). The covariances of
+# the factors are those that the odometry knows, and a few of them hold gravity
+# (`dronevio.estimator.slam.map.odometry_factors.odometry_factors`). Graduated non-convexity
 # accepts or rejects the loops together
 # (`dronevio.estimator.slam.map.pose_graph.optimize`). With the loops, a bundle
 # adjustment of all landmarks and IMU measurements follows
-# (`dronevio.estimator.slam.adjustment.bundle_adjustment`).
+# (`dronevio.estimator.slam.adjustment.bundle_adjustment.adjust`).
 
 # %%
 closed = [e for e in estimates if e.closed_loops_ns]
@@ -710,7 +710,8 @@ plt.show()
 # What is left of the error is a shift of the whole map: nothing measures where
 # the map is, and after an optimization it is put where its keyframes are
 # nearest to the poses that were published before
-# (`dronevio.estimator.slam.map.map_frame`), so that its start has moved, too.
+# (`dronevio.estimator.slam.map.map_frame.frame_change`), so that its start has
+# moved, too.
 #
 # The ATE of the online path does not profit, since the lap is over, and what
 # has been published is not taken back. The keyframes of the lap are corrected,
