@@ -648,13 +648,13 @@ plt.show()
 # ## 6. VisualSlam
 #
 # `VisualSlam` has closed the loop during the flight. It does the same with more
-# care (`dronevio.estimator.slam.mapper.Mapper`): a place counts when a second keyframe
-# confirms it (`dronevio.estimator.slam.PlaceRecognizer`). The pose is measured
-# again by patches around the landmarks
+# care (`dronevio.estimator.slam.mapper.Mapper`): a place counts when a second
+# keyframe confirms it (`dronevio.estimator.slam.PlaceRecognizer`). The pose is
+# measured again by patches around the landmarks
 # (`dronevio.estimator.slam.places.localization.Localizer`). The covariances of
 # the factors are those that the odometry knows, and a few of them hold gravity
-# (`dronevio.estimator.slam.map.odometry_factors.odometry_factors`). Graduated non-convexity
-# accepts or rejects the loops together
+# (`dronevio.estimator.slam.map.odometry_factors.odometry_factors`). Graduated
+# non-convexity accepts or rejects the loops together
 # (`dronevio.estimator.slam.map.pose_graph.optimize`). With the loops, a bundle
 # adjustment of all landmarks and IMU measurements follows
 # (`dronevio.estimator.slam.adjustment.bundle_adjustment.adjust`).
