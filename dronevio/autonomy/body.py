@@ -3,8 +3,8 @@
 A multirotor is wide and flat, and flies nearly level. A sphere around it would close doors under whose lintel it fits.
 """
 
-from dataclasses import dataclass
-from typing import Annotated
+from dataclasses import dataclass, replace
+from typing import Annotated, Self
 
 import cv2
 import numpy as np
@@ -29,6 +29,10 @@ class Body(Settings):
     """Radius without margins, which does not enter unknown space [m]."""
     half_height_m: Annotated[float, Range(0.0, 5.0)] = 0.2
     """Half the height [m]."""
+
+    def grown(self, margin_m: float) -> Self:
+        """Return the body with a further margin around it [m]."""
+        return replace(self, radius_m=self.radius_m + margin_m, bare_radius_m=self.bare_radius_m + margin_m)
 
 
 def horizontal_distance(blocked: Mask, cell_m: float, half_height_m: float) -> Floats:

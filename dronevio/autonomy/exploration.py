@@ -208,7 +208,9 @@ def _flown(
     mapper = pilot.mapper
     T_world_map = np.eye(4) if pilot.T_world_odom is None else pilot.T_world_odom
     occupancy = mapper.fused()
-    scores = _scores(scenario, goal, flight, run, pilot, occupancy, T_world_map)
+    # The clock of the course stands still while the vehicle waits on its pad.
+    waited_ns = int(flight.truth.t_ns[-1]) - pilot.now_ns
+    scores = _scores(scenario, goal, flight, run, pilot, waited_ns, occupancy, T_world_map)
     submaps, decisions, plans = mapper.submaps, tuple(pilot.decisions), tuple(pilot.plans)
     mapper.close()
     return Exploration(
@@ -224,7 +226,7 @@ def _flown(
         plans,
         pilot.times,
         settings or ExploreSettings(),
-        int(flight.truth.t_ns[-1]) - pilot.now_ns,
+        waited_ns,
         true_pose,
     )
 
@@ -235,6 +237,7 @@ def _scores(
     flight: Flight,
     run: EstimatorRun,
     pilot: Explorer,
+    waited_ns: int,
     occupancy: OccupancyGrid | None,
     T_world_map: Array,
 ) -> ExplorationScores:
@@ -243,8 +246,6 @@ def _scores(
     rig = flight.true_rig
     lever = rig.T_vehicle_imu[:3, :3].T @ rig.T_vehicle_imu[:3, 3]
     position = truth.p_world_imu - truth.rotations @ lever
-    # The clock of the course stands still while the vehicle waits on its pad.
-    waited_ns = int(truth.t_ns[-1]) - pilot.now_ns
     under_way = truth.t_ns >= pilot.departs_ns + waited_ns
     steps = np.diff(position[under_way][::10], axis=0)
     assert truth.velocity_m_s is not None

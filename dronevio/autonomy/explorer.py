@@ -7,10 +7,9 @@ stays until the next plan.
 """
 
 import time
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import atan2, hypot, pi, radians, remainder, sqrt
+from math import atan2, hypot, pi, radians, remainder
 from typing import Literal
 
 import numpy as np
@@ -31,6 +30,7 @@ from dronevio.autonomy.local_plan import (
     straight,
     trajectory_along,
 )
+from dronevio.autonomy.margin import RelativeMargin
 from dronevio.autonomy.route import NoRoute
 from dronevio.autonomy.settings import ExploreSettings
 from dronevio.autonomy.trajectory import CorridorTrajectory
@@ -73,8 +73,6 @@ _ROUTE_NS = 1_000_000_000  # between two routes
 _STUCK_NS = 2_000_000_000  # without progress, after which unseen space on the route is given up
 _PEEKS = 3  # places from which a path is looked at
 _RETRIES = 2  # of what was given up, before the goal is unreachable
-_MEMORY_NS = 4_000_000_000  # age of the local map around the vehicle
-_MARGIN_SIGMAS, _MAX_MARGIN_M = 2.0, 0.15
 _SINK_M = 0.05  # by which the descent ends below the ground
 _EARLY_NS = 1_000_000  # by which a plan may be made before it is due, for time stamps that jitter
 
@@ -206,7 +204,7 @@ class Explorer:
         self._retries = _RETRIES
         self._peeks = self._peeking_until_ns = self._to_floor_until_ns = 0
         self._depth_ns = 0
-        self._variances: deque[tuple[int, float]] = deque()
+        self._margin = RelativeMargin()
         self._plan_due_ns = self._route_due_ns = self._progress_ns = 0
         self._ends_ns: int | None = None
         self._is_going_home = False
@@ -291,21 +289,8 @@ class Explorer:
         if grid is not None:
             grid = self._with_pad(grid, T_odom_world)
         T_map_odom = np.eye(4) if estimate.T_map_odom is None else estimate.T_map_odom
-        body = self._body_with_margin(now_ns, estimate)
+        body = c.body.grown(self._margin.add(now_ns, None if estimate.state is None else estimate.state.covariance))
         return _Moment(now_ns, begins_ns, start, yaw, yaw_rate, body, grid, T_world_odom, T_map_odom, estimate)
-
-    def _body_with_margin(self, now_ns: int, estimate: Estimate) -> Body:
-        """Return the body, larger by the growth of the uncertainty of the position since the local map was seen."""
-        body = self._settings.body
-        if estimate.state is None or estimate.state.covariance is None:
-            return body
-        variance = float(np.linalg.eigvalsh(estimate.state.covariance[3:6, 3:6])[-1])
-        self._variances.append((now_ns, variance))
-        while now_ns - self._variances[0][0] > _MEMORY_NS:
-            self._variances.popleft()
-        growth = max(variance - min(each for _, each in self._variances), 0.0)
-        margin_m = min(_MARGIN_SIGMAS * sqrt(growth), _MAX_MARGIN_M)
-        return replace(body, radius_m=body.radius_m + margin_m, bare_radius_m=body.bare_radius_m + margin_m)
 
     def _with_pad(self, grid: OccupancyGrid, T_grid_world: Array) -> OccupancyGrid:
         """Return a grid in which what is unknown above the pad is free."""

@@ -50,7 +50,7 @@ class RayCameras:
             seed: Seed of the errors.
             errors: Sizes of the errors.
         """
-        self._caster, self._rig = RayCaster(world, world_seed), rig
+        self._caster, self.rig = RayCaster(world, world_seed), rig
         self._errors, self._rng = errors or RaySensing(), generator(seed, "frames", 1)
         K = np.array([[_FOCAL, 0.0, 0.5 * (_WIDTH - 1)], [0.0, _FOCAL, 0.5 * (_HEIGHT - 1)], [0.0, 0.0, 1.0]])
         self._camera = Pinhole(_WIDTH, _HEIGHT, K)
@@ -77,13 +77,13 @@ class RayCameras:
         """Return the depth of the newest frame with errors; None in darkness."""
         if not self._lit or estimate.state is None:
             return None
-        T_world_cam = self.T_world_imu @ self._rig.cameras[0].T_imu_cam
+        T_world_cam = self.T_world_imu @ self.rig.cameras[0].T_imu_cam
         ranges = self._caster.ranges_m(T_world_cam[None], self._bearings, _FARTHEST_M)[0]
         depth = np.where(np.isfinite(ranges), ranges, _FARTHEST_M) * self._scale
         true = depth.reshape(_HEIGHT, _WIDTH).astype(np.float32)
         sigma = np.float32(self._errors.depth_sigma_per_m) * true * true
         noisy = true + sigma * self._rng.standard_normal(true.shape, dtype=np.float32)
-        T_odom_cam = estimate.state.T_world_imu @ self._rig.cameras[0].T_imu_cam
+        T_odom_cam = estimate.state.T_world_imu @ self.rig.cameras[0].T_imu_cam
         grey = np.zeros(true.shape, np.uint8)
         return DepthImage(frame.t_ns, self._camera, T_odom_cam, np.maximum(noisy, 0.0), sigma, grey)
 
@@ -100,10 +100,9 @@ class DriftingOdometry:
             errors: Sizes of the errors.
         """
         self._cameras, self._errors, self._rng = cameras, errors or RaySensing(), generator(seed, "frames", 2)
-        self._imu = ImuRatePropagator(cameras._rig.imu)
+        self._imu = ImuRatePropagator(cameras.rig.imu)
         self._drift = np.eye(4)
         self._last: Array | None = None
-        self.path_m = 0.0
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Add the IMU samples since the last call."""
@@ -114,7 +113,6 @@ class DriftingOdometry:
         T, velocity, c = self._cameras.T_world_imu, self._cameras.velocity_m_s, self._errors
         step_m = 0.0 if self._last is None else float(np.linalg.norm(T[:3, 3] - self._last))
         self._last = T[:3, 3].copy()
-        self.path_m += step_m
         noise = np.sqrt(step_m) * self._rng.standard_normal(4)
         # The heading drifts about the vehicle.
         turn = rotation_z(c.yaw_drift_rad_per_sqrt_m * noise[3])

@@ -15,6 +15,17 @@ BACKGROUND = [18, 21, 26]
 """Colour of the background of 3D views: red, green, blue."""
 
 
+def collapsed_panels(is_live: bool) -> tuple[rrb.BlueprintPanel, rrb.SelectionPanel, rrb.TimePanel]:
+    """Return the panels of a viewer, collapsed, whose time loops, or follows the newest data of a live view."""
+    time = rrb.TimePanel(
+        state="collapsed",
+        timeline=TIMELINE,
+        loop_mode="off" if is_live else "all",
+        play_state="following" if is_live else None,
+    )
+    return rrb.BlueprintPanel(state="collapsed"), rrb.SelectionPanel(state="collapsed"), time
+
+
 @dataclass(frozen=True)
 class RecordingContents:
     """What a recording contains, which determines its layout."""

@@ -14,7 +14,7 @@ import rerun.blueprint as rrb
 
 from dronevio.eval import colours
 from dronevio.eval.images import depth_colours
-from dronevio.eval.rerun.blueprint import BACKGROUND, TIMELINE
+from dronevio.eval.rerun.blueprint import BACKGROUND, TIMELINE, collapsed_panels
 from dronevio.eval.rerun.images import JpegLog
 from dronevio.eval.rerun.log import first_time_ns
 from dronevio.eval.rerun.sink import Sink
@@ -206,14 +206,7 @@ def _blueprint(*, is_live: bool = False) -> rrb.Blueprint:
     )
     return rrb.Blueprint(
         rrb.Horizontal(growing, images, column_shares=[1.9, 1.0]),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(
-            state="collapsed",
-            timeline=TIMELINE,
-            loop_mode="off" if is_live else "all",
-            play_state="following" if is_live else None,
-        ),
+        *collapsed_panels(is_live),
         auto_views=False,
         auto_layout=False,
     )

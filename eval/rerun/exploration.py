@@ -14,7 +14,7 @@ import rerun.blueprint as rrb
 
 from dronevio.eval import colours
 from dronevio.eval.exploration import ExploredFlight
-from dronevio.eval.rerun.blueprint import BACKGROUND, TIMELINE
+from dronevio.eval.rerun.blueprint import BACKGROUND, TIMELINE, collapsed_panels
 from dronevio.eval.rerun.dense_map import ABOVE, DEPTH, IMAGE, PATH_SO_FAR, DenseMapLog
 from dronevio.eval.rerun.log import log_surroundings
 from dronevio.eval.rerun.sink import Sink
@@ -188,14 +188,7 @@ def _blueprint(has_images: bool, places_m: Array | None = None, *, is_live: bool
     )
     return rrb.Blueprint(
         rrb.Horizontal(growing, right, column_shares=[2.0, 1.0]),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(
-            state="collapsed",
-            timeline=TIMELINE,
-            loop_mode="off" if is_live else "all",
-            play_state="following" if is_live else None,
-        ),
+        *collapsed_panels(is_live),
         auto_views=False,
         auto_layout=False,
     )

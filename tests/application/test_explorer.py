@@ -26,6 +26,7 @@ from dronevio.autonomy.local_plan import (
     straight,
     trajectory_along,
 )
+from dronevio.autonomy.margin import RelativeMargin
 from dronevio.autonomy.ray_sensing import DriftingOdometry, RayCameras, RaySensing
 from dronevio.autonomy.route import NoRoute, Route
 from dronevio.models.arrays import Array
@@ -264,6 +265,18 @@ def test_around_covers_the_body() -> None:
     assert np.abs(points[:, 2]).max() == pytest.approx(0.2)
 
 
+def test_margin_grows_with_the_covariance_since_the_map_was_seen() -> None:
+    """4 cm² more than the least of the last four seconds: 2 σ are 4 cm; what is older does not count."""
+    margin, grown = RelativeMargin(), [0.01, 0.01, 0.0104]
+    at = [margin.add(k * 1_000_000_000, np.diag(np.full(15, variance))) for k, variance in enumerate(grown)]
+    assert at[:2] == [0.0, 0.0] and at[2] == pytest.approx(0.04)
+    assert margin.add(5_500_000_000, np.diag(np.full(15, 0.0104))) == pytest.approx(0.0, abs=1e-6)
+    assert margin.add(6_000_000_000, np.eye(15)) == 0.15
+    assert margin.add(7_000_000_000, None) == 0.0
+    larger = BODY.grown(0.1)
+    assert (larger.radius_m, larger.bare_radius_m) == pytest.approx((0.55, 0.45))
+
+
 def walled_map(gap: slice | None) -> OccupancyGrid:
     """Return a map in which the wall x = 3 m is known from y = 0 to 6 m, but for a gap."""
     states = np.full((60, 60, 26), UNKNOWN, np.uint8)
@@ -346,7 +359,10 @@ def test_without_light_the_vehicle_lands_on_observed_floor() -> None:
     found = explore(scenario, longest_s=60.0, without_images=RaySensing())
     said = [each.what for each in found.decisions]
     assert found.scores.outcome == "lost" and not found.scores.collided
-    assert said.count("no depth: brake") <= 1 and said[-1] == "no depth: land"
+    assert "no depth: stop" in said and said.count("no depth: brake") <= 1 and said[-1] == "no depth: land"
+    truth = found.flight.truth
+    speed = np.linalg.norm(truth.velocity_m_s, axis=1)  # type: ignore[arg-type]
+    assert speed[truth.t_s < 17.0].max() > 1.0 and speed[np.argmin(np.abs(truth.t_s - 18.8))] < 0.3
     assert found.flight.truth.p_world_imu[-1, 2] < 0.3
 
 

@@ -163,6 +163,32 @@ class Watching(ReferencePilot):
         self.seen.append((frame.t_ns, estimate.t_ns, self.newest_ns))
 
 
+class Comparing(ReferencePilot):
+    """Pilot that keeps the estimates of frames in the world."""
+
+    def __init__(self) -> None:
+        self.poses: dict[int, Array] = {}
+
+    def add_frame(self, frame: CameraFrame, estimate: Estimate, T_world_odom: Array | None) -> None:
+        if estimate.T_odom_imu is not None and T_world_odom is not None:
+            self.poses[frame.t_ns] = T_world_odom @ estimate.T_odom_imu
+
+
+@pytest.mark.parametrize("true_state", [False, True])
+def test_estimates_of_frames_are_placed_in_the_world(scenario: Scenario, true_state: bool) -> None:
+    """With the true state, the pilot sees where it was, however wrong the estimate is."""
+    pilot = Comparing()
+    elsewhere = pose_matrix(rotation_z(1.0), np.array([3.0, -5.0, 2.0])) if true_state else np.eye(4)
+    odometry = Odometry(scenario.rig, elsewhere, error_m=np.full(3, 0.4 if true_state else 0.0))
+    flight = fly_closed_loop(scenario, odometry, NoImages(), LATENCY, pilot=pilot, true_state=true_state)
+    seen = np.array(sorted(pilot.poses))
+    true = flight.truth.p_world_imu[np.searchsorted(flight.truth.t_ns, seen)]
+    moving = seen < flight.truth.t_ns[-1] - 100_000_000
+    estimated = np.stack([pilot.poses[t][:3, 3] for t in seen.tolist()])
+    assert len(seen) > 50 and np.ptp(true, axis=0).max() > 0.5
+    np.testing.assert_allclose(estimated[moving], true[moving], atol=0.02)
+
+
 @pytest.mark.parametrize("latency_s", [0.03, 0.11])
 def test_pilot_sees_each_frame_with_its_estimate_when_the_estimator_does(scenario: Scenario, latency_s: float) -> None:
     odometry, pilot = Odometry(scenario.rig, ready_s=np.inf), Watching()
