@@ -43,6 +43,8 @@ LONGEST_S = 120.0
 RIG = "euroc-stereo"
 """Default sensors."""
 
+_STEP_S = 0.05  # between the points whose distances make the length of the path
+
 
 @dataclass(frozen=True)
 class ExplorationScores:
@@ -247,7 +249,8 @@ def _scores(
     lever = rig.T_vehicle_imu[:3, :3].T @ rig.T_vehicle_imu[:3, 3]
     position = truth.p_world_imu - truth.rotations @ lever
     under_way = truth.t_ns >= pilot.departs_ns + waited_ns
-    steps = np.diff(position[under_way][::10], axis=0)
+    stride = max(round(_STEP_S * rig.imu.rate_hz), 1)
+    steps = np.diff(position[under_way][::stride], axis=0)
     assert truth.velocity_m_s is not None
     speed = np.linalg.norm(truth.velocity_m_s[under_way], axis=1)
     start = flight_area(scenario.world, scenario.seed_of_world).pad + [0.0, 0.0, HOVER_M]

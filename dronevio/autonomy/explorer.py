@@ -68,8 +68,9 @@ GOAL_M = 0.5
 """Distance from the goal within which a flight must end."""
 _NEAR_M = 0.25  # from the goal, where it is reached
 _LEAST_STEP_M, _PROGRESS_M = 0.15, 0.6  # lengths of a plan that is worth to be flown, and that leads on
-_STOP_AFTER_NS, _LAND_AFTER_NS = 300_000_000, 1_000_000_000  # without depth
+_STOP_AFTER_NS, _LAND_AFTER_NS = 300_000_000, 1_000_000_000  # without depth; later if it is due less often
 _ROUTE_NS = 1_000_000_000  # between two routes
+_CHECK_NS = 25_000_000  # between the points of a trajectory whose clearance is checked: half a cell at 2 m/s
 _STUCK_NS = 2_000_000_000  # without progress, after which unseen space on the route is given up
 _PEEKS = 3  # places from which a path is looked at
 _RETRIES = 2  # of what was given up, before the goal is unreachable
@@ -304,11 +305,11 @@ class Explorer:
         # Without a valid estimate, brake and land; without depth, stop, and land if it does not come back.
         is_lost = m.estimate.health in (Health.LOST, Health.INITIALIZING) or m.estimate.track != 0
         without_ns = m.now_ns - self._depth_ns
-        if is_lost or m.grid is None or without_ns > _LAND_AFTER_NS:
+        if is_lost or m.grid is None or without_ns > max(_LAND_AFTER_NS, 5e9 / c.map.rate_hz):
             self._brake_and_land(m, "the estimate is lost" if is_lost else "no depth", is_lost)
             return
         space = LocalSpace.of(m.grid, m.body, m.start[0])
-        if without_ns > _STOP_AFTER_NS:
+        if without_ns > max(_STOP_AFTER_NS, 2.5e9 / c.map.rate_hz):
             self._say("no depth: stop")
             self._follow(m, stop(space, m.start, m.body, c.limits), self._turn(m, None))
             return
@@ -361,7 +362,7 @@ class Explorer:
                 self._progress_ns, self._peeks = m.now_ns, 0
             return
         # Without a new trajectory: fly on if the last one is still free, otherwise stop.
-        rest = m.from_world(self._course.positions_from(m.begins_ns))[::10]
+        rest = m.from_world(self._course.positions_from(m.begins_ns)[:: max(_CHECK_NS // self._course.interval_ns, 1)])
         if m.speed_m_s > 0.5 * _STILL_M_S and np.any(space.clearances(rest) < m.body.radius_m - space.grid.cell_m):
             self._say("the trajectory is blocked: stop")
             self._follow(m, stop(space, m.start, m.body, c.limits), turn)

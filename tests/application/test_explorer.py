@@ -29,6 +29,8 @@ from dronevio.autonomy.local_plan import (
 from dronevio.autonomy.margin import RelativeMargin
 from dronevio.autonomy.ray_sensing import DriftingOdometry, RayCameras, RaySensing
 from dronevio.autonomy.route import NoRoute, Route
+from dronevio.autonomy.settings import ExploreSettings
+from dronevio.estimator.mapping.config import DenseMapConfig
 from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
@@ -364,6 +366,19 @@ def test_without_light_the_vehicle_lands_on_observed_floor() -> None:
     speed = np.linalg.norm(truth.velocity_m_s, axis=1)  # type: ignore[arg-type]
     assert speed[truth.t_s < 17.0].max() > 1.0 and speed[np.argmin(np.abs(truth.t_s - 18.8))] < 0.3
     assert found.flight.truth.p_world_imu[-1, 2] < 0.3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("camera_hz", "imu_hz", "depth_hz"), [(12.0, 100.0, 10.0), (30.0, 400.0, 10.0), (20.0, 200.0, 3.0)]
+)
+def test_flights_do_not_depend_on_the_rates(camera_hz: float, imu_hz: float, depth_hz: float) -> None:
+    scenario = exploration_scenario("office", 4)
+    cameras = tuple(replace(camera, rate_hz=camera_hz) for camera in scenario.rig.cameras)
+    rig = replace(scenario.rig, cameras=cameras, imu=replace(scenario.rig.imu, rate_hz=imu_hz))
+    settings = ExploreSettings(map=DenseMapConfig(rate_hz=depth_hz))
+    found = explore(replace(scenario, rig=rig), settings=settings, without_images=RaySensing())
+    assert found.scores.outcome == "reached" and not found.scores.collided
 
 
 class Jumping:
