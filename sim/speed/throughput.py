@@ -38,7 +38,7 @@ def camera_figure(world: World, camera: CameraModel, frames: int) -> Performance
         1.3,
         "at most",
         f"{cost.camera_ms:.0f} and {cost.bare_ms:.0f} ms of CPU a frame, {camera.width}×{camera.height} looked up in"
-        f" {1e-6 * cost.drawn_pixels:.2f} Mpx, median of {frames}",
+        f" {1e-6 * cost.drawn_pixels:.2f} Mpx, mean of {frames}",
     )
 
 

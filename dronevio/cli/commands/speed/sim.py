@@ -63,7 +63,7 @@ class _Effort:
 
 _USUAL = _Effort(frames=30, flight_s=60.0, recording_s=8.0, memory_s=(30.0, 120.0), memory_rate_hz=1.0)
 _FULL = _Effort(frames=60, flight_s=60.0, recording_s=60.0, memory_s=(30.0, 120.0), memory_rate_hz=20.0)
-_QUICK = _Effort(frames=40, flight_s=6.0, recording_s=5.0, memory_s=(5.0, 6.0), memory_rate_hz=0.0, small_images=True)
+_QUICK = _Effort(frames=2, flight_s=6.0, recording_s=5.0, memory_s=(5.0, 6.0), memory_rate_hz=0.0, small_images=True)
 
 
 def main(arguments: Sequence[str]) -> int:
