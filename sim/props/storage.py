@@ -19,7 +19,6 @@ PALLET_M = np.array([1.05, 1.0, 0.14])
 """(3,) Width, depth and height of a pallet [m]."""
 _LOAD_PX_PER_M, _SIDE_PX_PER_M, _STEEL_PX_PER_M = 132.0, 64.0, 96.0
 _VARIANTS = 21
-_PANEL_M = 0.04  # thickness of a side of a load, of which the goods are open behind
 _BLUE: Colour = (46, 78, 128)
 _ORANGE: Colour = (216, 110, 36)
 
@@ -49,31 +48,10 @@ def _restocked(rng: Random, height: int, width: int, image: Image) -> Image:
     return to_image(fitted * np.float32(rng.uniform(0.88, 1.08)))
 
 
-def _outside(box: Box, px_per_m: float, sides_px_per_m: float, top: bool = True) -> list[Face]:
-    """Return the faces of a box that are visible in a rack: front, sides and optionally the top."""
-    faces = []
-    for number, face in enumerate(box.faces()):  # +x, −x, +y, −y, +z, −z
-        if number in ((0, 1, 2, 4) if top else (0, 1, 2)):
-            density = px_per_m if number == 2 else sides_px_per_m
-            faces.append(Face(face.corner, face.right, face.down, face.paint, face.glow, density, face.instance))
-    return faces
-
-
-def _panels(box: Box, top: bool = True) -> list[Box]:
-    """Return a panel behind each face of `_outside`: what is not drawn behind and below is not solid either."""
-    panels = []
-    for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (2, 1.0))[: 4 if top else 3]:
-        half = box.half.copy()
-        half[axis] = 0.5 * _PANEL_M
-        shift = sign * (box.half[axis] - half[axis]) * box.R[:, axis]
-        panels.append(replace(box, centre=box.centre + shift, half=half))
-    return panels
-
-
 def loaded_pallet(
     rng: Random, stock: Stock, R: Array, position: Array, most_m: float
 ) -> tuple[list[Face], tuple[Box, ...], float]:
-    """Return the visible faces of a pallet with its load, panels behind them, and its height [m].
+    """Return the visible faces of a pallet with its load, the boxes of both, and its height [m].
 
     Args:
         rng: Draws what lies on it.
@@ -84,15 +62,15 @@ def loaded_pallet(
     """
     foot = Box(np.array([0.0, 0.0, 0.5 * PALLET_M[2]]), 0.5 * PALLET_M, textures_storage.pallet)
     foot = foot.moved(R, position)
-    faces = _outside(foot, _SIDE_PX_PER_M, _SIDE_PX_PER_M, top=False)
+    faces = [replace(face, pixels_per_m=_SIDE_PX_PER_M) for face in foot.faces()]
     number, tall = int(rng.integers(len(stock.images))), float(rng.uniform(0.55, 0.95)) * (most_m - PALLET_M[2])
     half = 0.5 * np.array([PALLET_M[0] - rng.uniform(0.02, 0.14), PALLET_M[1] - rng.uniform(0.02, 0.14), tall])
     load = Box(np.array([rng.uniform(-0.02, 0.02), 0.0, PALLET_M[2] + half[2]]), half, stock.side(number))
     load = load.moved(R, position)
-    faces += _outside(load, _LOAD_PX_PER_M, _SIDE_PX_PER_M)
+    densities = (_SIDE_PX_PER_M, _SIDE_PX_PER_M, _LOAD_PX_PER_M, _SIDE_PX_PER_M, _SIDE_PX_PER_M)  # none below
+    faces += [replace(face, pixels_per_m=density) for face, density in zip(load.faces(), densities, strict=False)]
     pallet = Instance("pallet")
-    panels = (*_panels(foot, top=False), *_panels(load))
-    return list(parts_of(pallet, faces)), parts_of(pallet, panels), float(PALLET_M[2] + tall)
+    return list(parts_of(pallet, faces)), parts_of(pallet, (foot, load)), float(PALLET_M[2] + tall)
 
 
 @single_instance

@@ -35,8 +35,8 @@ from dronevio.sim.world import WORLDS, collision_spec, flight_area, illumination
     ],
 )
 def test_what_collides_is_what_is_seen(world: str, seed: int, script: Callable[[str], Any]) -> None:
-    invisible, unsolid, *_ = script("collision_geometry").measured(world, seed, points=40, rays=32)
-    assert invisible < 0.5 and unsolid < 0.5
+    (invisible, unsolid, is_open), _ = script("collision_geometry").measured(world, seed, points=40, rays=32)
+    assert invisible < 0.5 and unsolid < 0.5 and is_open < 0.05
 
 
 @pytest.mark.parametrize("world", ["room", "corridor", "forest", "repetitive", "gates", "office", "office-glass"])
