@@ -14,8 +14,8 @@ from collections.abc import Iterator
 import numpy as np
 from measuring import Row, print_as_made
 
-from dronevio.autonomy.corridor import Corridor, corridor_along, passable
-from dronevio.autonomy.trajectory import CorridorTrajectory, corridor_trajectory
+from dronevio.autonomy.planning.corridor import Corridor, corridor_along, passable
+from dronevio.autonomy.planning.trajectory import CorridorTrajectory, corridor_trajectory
 from dronevio.estimator.mapping.distance import distance_field
 from dronevio.models.arrays import Array, Mask
 from dronevio.models.occupancy import FREE, OCCUPIED, OccupancyGrid

@@ -23,7 +23,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from dronevio.autonomy.route import NoRoute, Route, route
+from dronevio.autonomy.planning.route import NoRoute, Route, route
 from dronevio.autonomy.true_map import clear_samples, true_map
 from dronevio.estimator.mapping.distance import distance_field
 from dronevio.models.arrays import Array

@@ -1,3 +1,3 @@
-"""Autonomy: routes through known-free space, corridors, and trajectories inside them."""
+"""Autonomy: flights through unknown worlds. `planning` finds paths and trajectories, `pilot` decides what is flown."""
 
 __all__: list[str] = []

@@ -9,8 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dronevio.autonomy.explorer import Decision, Explorer, Outcome, Plan, StageTimes, moved
 from dronevio.autonomy.goals import HOVER_M, drawn_goal, reachable_places, shortest_m
+from dronevio.autonomy.pilot.explorer import Explorer, Outcome
+from dronevio.autonomy.pilot.flight_log import Decision, Plan, StageTimes
+from dronevio.autonomy.pilot.moment import moved
+from dronevio.autonomy.pilot.tasks import ReachGoal
 from dronevio.autonomy.ray_sensing import DriftingOdometry, RayCameras, RaySensing
 from dronevio.autonomy.settings import ExploreSettings
 from dronevio.autonomy.true_map import true_map
@@ -199,7 +202,7 @@ def _flown(
     progress: Progress,
 ) -> Exploration:
     """Fly and score."""
-    pilot = Explorer(goal, longest_s, settings, sensing.depth, listeners)
+    pilot = Explorer(ReachGoal(goal), longest_s, settings, sensing.depth, listeners)
     estimator = TimedEstimator(sensing.estimator)
     flight = fly_closed_loop(
         scenario, estimator, sensing.frames, progress=progress, on_frame=on_frame, pilot=pilot, true_state=true_pose

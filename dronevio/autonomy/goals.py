@@ -6,8 +6,8 @@ from functools import lru_cache
 import numpy as np
 from scipy import ndimage
 
-from dronevio.autonomy.body import Body, horizontal_distance
-from dronevio.autonomy.route import NoRoute, route
+from dronevio.autonomy.planning.body import Body, horizontal_distance
+from dronevio.autonomy.planning.route import NoRoute, route
 from dronevio.autonomy.true_map import true_map
 from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from dronevio.autonomy.body import Body
+from dronevio.autonomy.planning.body import Body
 from dronevio.estimator.mapping.config import DenseMapConfig
 from dronevio.models.ranges import Range, Settings
 from dronevio.sim.paths.limits import Limits
@@ -36,7 +36,7 @@ class ExploreSettings(Settings):
     """Time from the estimate of a frame to its depth image [s]."""
     map_latency_s: Annotated[float, Range(0.0, 1.0)] = 0.01
     """Time from a depth image until it is in the map [s]."""
-    plan_latency_s: Annotated[float, Range(0.0, 1.0)] = 0.1
+    plan_latency_s: Annotated[float, Range(0.0, 1.0)] = 0.15
     """Time from the map until the vehicle follows a plan that was made with it [s]."""
 
     @property

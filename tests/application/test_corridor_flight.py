@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from dronevio.autonomy.corridor import Corridor, corridor_along, passable
-from dronevio.autonomy.quadratic_program import bounded_minimum
-from dronevio.autonomy.trajectory import CorridorTrajectory, corridor_trajectory
+from dronevio.autonomy.planning.corridor import Corridor, corridor_along, passable
+from dronevio.autonomy.planning.quadratic_program import bounded_minimum
+from dronevio.autonomy.planning.trajectory import CorridorTrajectory, corridor_trajectory
 from dronevio.estimator.mapping.distance import distance_field
 from dronevio.models.arrays import Array, Mask
 from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid

@@ -13,7 +13,7 @@ from rerun.chunk import RrdReader
 
 import dronevio as dv
 from dronevio.autonomy.explored_flight import OUTCOMES, document, explored_flight
-from dronevio.autonomy.explorer import Outcome
+from dronevio.autonomy.pilot.explorer import Outcome
 from dronevio.autonomy.ray_sensing import RaySensing
 from dronevio.cli import main
 from dronevio.cli.commands.explore import COLLIDED, repeating_command

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from dronevio.autonomy.lattice_search import shortest_path
-from dronevio.autonomy.route import NoRoute, Route, route
+from dronevio.autonomy.planning.lattice_search import shortest_path
+from dronevio.autonomy.planning.route import NoRoute, Route, route
 from dronevio.estimator.mapping.distance import distance_field
 from dronevio.models.errors import ConfigError
 from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid

@@ -5,8 +5,8 @@ from typing import Self
 
 import numpy as np
 
-from dronevio.autonomy.heading import Turn
-from dronevio.autonomy.trajectory import CorridorTrajectory
+from dronevio.autonomy.pilot.heading import Turn
+from dronevio.autonomy.planning.trajectory import CorridorTrajectory
 from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rotation import log_so3

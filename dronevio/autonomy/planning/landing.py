@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 
-from dronevio.autonomy.body import Body
-from dronevio.autonomy.known_space import LocalSpace
+from dronevio.autonomy.planning.body import Body
+from dronevio.autonomy.planning.known_space import LocalSpace
 from dronevio.models.arrays import Array, Integers
 from dronevio.models.occupancy import FREE, OCCUPIED, States
 

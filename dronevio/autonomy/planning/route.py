@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from scipy import ndimage
 
-from dronevio.autonomy.lattice_search import shortest_path
+from dronevio.autonomy.planning.lattice_search import shortest_path
 from dronevio.models.arrays import Array, Integers, Mask
 from dronevio.models.errors import ConfigError
 from dronevio.models.occupancy import FREE, DistanceField, OccupancyGrid

@@ -18,8 +18,8 @@ from math import comb
 import numpy as np
 from scipy.interpolate import BPoly
 
-from dronevio.autonomy.corridor import Corridor
-from dronevio.autonomy.quadratic_program import bounded_minimum
+from dronevio.autonomy.planning.corridor import Corridor
+from dronevio.autonomy.planning.quadratic_program import bounded_minimum
 from dronevio.models.arrays import Array
 from dronevio.sim.paths.limits import Limits
 

@@ -9,8 +9,8 @@ assumption.
 
 import numpy as np
 
-from dronevio.autonomy.body import Body, body_distance
-from dronevio.autonomy.route import NoRoute, Route, route
+from dronevio.autonomy.planning.body import Body, body_distance
+from dronevio.autonomy.planning.route import NoRoute, Route, route
 from dronevio.models.arrays import Array
 from dronevio.models.occupancy import FREE, OCCUPIED, OccupancyGrid
 

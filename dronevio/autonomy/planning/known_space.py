@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dronevio.autonomy.body import Body, body_distance
+from dronevio.autonomy.planning.body import Body, body_distance
 from dronevio.models.arrays import Array, Mask
 from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, DistanceField, OccupancyGrid
 

@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from dronevio.autonomy.body import Body
-from dronevio.autonomy.corridor import Corridor, corridor_along
-from dronevio.autonomy.known_space import LocalSpace
-from dronevio.autonomy.lattice_search import shortest_path
-from dronevio.autonomy.route import NoRoute, route
-from dronevio.autonomy.trajectory import CorridorTrajectory, corridor_trajectory
+from dronevio.autonomy.planning.body import Body
+from dronevio.autonomy.planning.corridor import Corridor, corridor_along
+from dronevio.autonomy.planning.known_space import LocalSpace
+from dronevio.autonomy.planning.lattice_search import shortest_path
+from dronevio.autonomy.planning.route import NoRoute, route
+from dronevio.autonomy.planning.trajectory import CorridorTrajectory, corridor_trajectory
 from dronevio.models.arrays import Array, Mask
 from dronevio.sim.paths.limits import Limits
 

@@ -1,0 +1,3 @@
+"""Planning: routes, corridors of free boxes, and minimum-snap trajectories inside them."""
+
+__all__: list[str] = []
