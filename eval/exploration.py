@@ -15,16 +15,16 @@ class ExplorationScores(Protocol):
     """How a flight ended, by the truth; those of `dronevio.autonomy.exploration` are meant."""
 
     @property
-    def distance_to_goal_m(self) -> float:
-        """True distance from the goal at the end [m]."""
+    def distance_to_goal_m(self) -> float | None:
+        """True distance from the goal at the end [m]; None without a goal."""
 
     @property
     def path_m(self) -> float:
         """Length of the true path after take-off and turns [m]."""
 
     @property
-    def shortest_m(self) -> float:
-        """Length of the shortest path to the goal on the true map [m]; inf without one."""
+    def shortest_m(self) -> float | None:
+        """Length of the shortest path to the goal on the true map [m]; inf without one, None without a goal."""
 
     @property
     def time_s(self) -> float:
@@ -103,8 +103,8 @@ class ExploredFlight:
     """How it ended, in figures."""
     pad_m: Array
     """(3,) Landing pad [m]."""
-    goal_m: Array
-    """(3,) Goal [m]."""
+    goal_m: Array | None
+    """(3,) Goal [m]; None for coverage."""
     truth: Trajectory
     """True poses of the IMU."""
     estimate: Trajectory
@@ -117,6 +117,8 @@ class ExploredFlight:
     """What the pilot decided, in the order of time."""
     plans: tuple[FlownPlan, ...]
     """The trajectories that were flown, in the order of time."""
+    coverage: Array
+    """(N, 2) Times of the flight [s], and the share of the reachable places that the map knew then to be free."""
     stages: tuple[StageCost, ...]
     """Costs of depth, map and plan."""
     speed_limit_m_s: float
@@ -125,6 +127,11 @@ class ExploredFlight:
     """Least and greatest height of routes [m]."""
     true_map: OccupancyGrid
     """What is free and occupied in truth, in the frame of the world, for drawings."""
+
+    @property
+    def goals_m(self) -> Array:
+        """(G, 3) The goal, or none [m]."""
+        return np.zeros((0, 3)) if self.goal_m is None else self.goal_m[None]
 
     @property
     def origin_ns(self) -> int:

@@ -6,6 +6,7 @@ The truth moves the vehicle, draws the goal and scores the flight. The pilot rec
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -13,11 +14,12 @@ from dronevio.autonomy.goals import HOVER_M, drawn_goal, reachable_places, short
 from dronevio.autonomy.pilot.explorer import Explorer, Outcome
 from dronevio.autonomy.pilot.flight_log import Decision, Plan, StageTimes
 from dronevio.autonomy.pilot.moment import moved
-from dronevio.autonomy.pilot.tasks import ReachGoal
+from dronevio.autonomy.pilot.tasks import Cover, ReachGoal, Task
 from dronevio.autonomy.ray_sensing import DriftingOdometry, RayCameras, RaySensing
 from dronevio.autonomy.settings import ExploreSettings
 from dronevio.autonomy.true_map import true_map
 from dronevio.dense_mapping import DepthListener
+from dronevio.estimator.mapping.dense_mapper import DenseMapper
 from dronevio.estimator.mapping.depth_source import DepthSource
 from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.slam.visual_slam import VisualSlam
@@ -25,13 +27,14 @@ from dronevio.estimators.driver import TimedEstimator
 from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.arrays import Array
+from dronevio.models.depth import DepthImage
 from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.occupancy import FREE, OccupancyGrid, PlacedSubmap
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Estimator
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import inverse_pose
-from dronevio.models.state import CameraFrame
+from dronevio.models.state import CameraFrame, Estimate
 from dronevio.recording.recorder import cameras_of
 from dronevio.sim.closed_loop.flight import fly_closed_loop
 from dronevio.sim.closed_loop.frame_source import FrameSource
@@ -41,6 +44,8 @@ from dronevio.sim.scenario import Scenario
 from dronevio.sim.scenarios import SCENARIOS, scenario_named
 from dronevio.sim.world import WORLDS, flight_area, solid_space
 
+TaskName = Literal["reach", "cover"]
+"""What a flight is for."""
 LONGEST_S = 120.0
 """Default duration after which a flight to a goal ends [s]."""
 RIG = "euroc-stereo"
@@ -57,12 +62,12 @@ class ExplorationScores:
     """How it ended: as the pilot says, or by a collision or the time."""
     collided: bool
     """Whether the vehicle touched anything but the ground with its feet."""
-    distance_to_goal_m: float
-    """True distance from the goal at the end [m]."""
+    distance_to_goal_m: float | None
+    """True distance from the goal at the end [m]; None without a goal."""
     path_m: float
     """Length of the true path after take-off and turns [m]."""
-    shortest_m: float
-    """Length of the shortest path to the goal on the true map [m]; inf without one."""
+    shortest_m: float | None
+    """Length of the shortest path to the goal on the true map [m]; inf without one, None without a goal."""
     time_s: float
     """Duration of the flight [s]."""
     covered_share: float
@@ -79,8 +84,8 @@ class Exploration:
 
     scenario: Scenario
     """World, sensors and vehicle."""
-    goal_m: Array
-    """(3,) Goal in the world [m]."""
+    goal_m: Array | None
+    """(3,) Goal in the world [m]; None for coverage."""
     scores: ExplorationScores
     """How the flight ended."""
     flight: Flight
@@ -97,6 +102,8 @@ class Exploration:
     """What the pilot decided."""
     plans: tuple[Plan, ...]
     """The trajectories that were flown, in the order of time."""
+    coverage: Array
+    """(N, 2) Times on the clock of the course [s], and the `covered_share` then; about once a second."""
     times: StageTimes
     """Processor times of depth, map and plan."""
     settings: ExploreSettings
@@ -143,6 +150,7 @@ def explore(
     scenario: str | Scenario = "office",
     goal: Sequence[float] | None = None,
     *,
+    task: TaskName = "reach",
     seed: int = 0,
     longest_s: float = LONGEST_S,
     settings: ExploreSettings | None = None,
@@ -153,11 +161,12 @@ def explore(
     on_frame: Callable[[CameraFrame], None] = lambda frame: None,
     progress: Progress = silent,
 ) -> Exploration:
-    """Fly to a goal through an unknown world on the drone's own estimate.
+    """Fly through an unknown world on the drone's own estimate, to a goal or to see all that can be reached.
 
     Args:
         scenario: A scenario, or the name of a world or of a scenario.
         goal: (3,) Goal in the world [m]; by default one behind obstacles, drawn by the seed.
+        task: ``reach`` the goal, or ``cover`` the world: fly to where most of what is unknown will be seen.
         seed: Seed of a named scenario.
         longest_s: Duration after which the flight ends [s].
         settings: Settings of mapping, planning and flight.
@@ -177,9 +186,9 @@ def explore(
         GraphicsError: There is no off-screen OpenGL.
     """
     flown = exploration_scenario(scenario, seed) if isinstance(scenario, str) else scenario
-    where = np.array(drawn_goal(flown.world, flown.seed_of_world, flown.seed) if goal is None else goal, np.float64)
-    if where.shape != (3,) or not np.isfinite(where).all():
-        raise ConfigError(f"goal = {goal}; expected three finite numbers [m]")
+    where = None if task == "cover" else goal_in(flown, goal)
+    if task == "cover" and goal is not None:
+        raise ConfigError(f"goal = {goal} for the task cover; expected no goal")
     if without_images is not None:
         cameras = RayCameras(flown.world, flown.seed_of_world, flown.rig, flown.seed, without_images)
         sensing = Sensing(cameras, DriftingOdometry(cameras, flown.seed, without_images), cameras)
@@ -190,9 +199,23 @@ def explore(
         return _flown(flown, where, longest_s, settings, sensing, true_pose, listeners, on_frame, progress)
 
 
+def goal_in(scenario: Scenario, goal: Sequence[float] | None) -> Array:
+    """Return a goal (3,) of a scenario [m], by default the one that is drawn by the seed.
+
+    Raises:
+        ConfigError: It is not three finite numbers, or the world has no goal behind obstacles.
+    """
+    where = np.array(
+        drawn_goal(scenario.world, scenario.seed_of_world, scenario.seed) if goal is None else goal, np.float64
+    )
+    if where.shape != (3,) or not np.isfinite(where).all():
+        raise ConfigError(f"goal = {goal}; expected three finite numbers [m]")
+    return where
+
+
 def _flown(
     scenario: Scenario,
-    goal: Array,
+    goal: Array | None,
     longest_s: float,
     settings: ExploreSettings | None,
     sensing: Sensing,
@@ -202,7 +225,11 @@ def _flown(
     progress: Progress,
 ) -> Exploration:
     """Fly and score."""
-    pilot = Explorer(ReachGoal(goal), longest_s, settings, sensing.depth, listeners)
+    settings = settings or ExploreSettings()
+    covering = _Coverage(scenario)
+    task: Task = Cover(settings.views) if goal is None else ReachGoal(goal)
+    pilot = Explorer(task, longest_s, settings, sensing.depth, (*listeners, covering))
+    covering.watch(pilot)
     estimator = TimedEstimator(sensing.estimator)
     flight = fly_closed_loop(
         scenario, estimator, sensing.frames, progress=progress, on_frame=on_frame, pilot=pilot, true_state=true_pose
@@ -215,7 +242,7 @@ def _flown(
     occupancy = mapper.fused()
     # The clock of the course stands still while the vehicle waits on its pad.
     waited_ns = int(flight.truth.t_ns[-1]) - pilot.now_ns
-    scores = _scores(scenario, goal, flight, run, pilot, waited_ns, occupancy, T_world_map)
+    scores = _scores(scenario, goal, flight, run, pilot, waited_ns, covering.share(occupancy, T_world_map))
     submaps, decisions, plans = mapper.submaps, tuple(pilot.decisions), tuple(pilot.plans)
     mapper.close()
     return Exploration(
@@ -229,8 +256,9 @@ def _flown(
         T_world_map,
         decisions,
         plans,
+        np.array(covering.shares).reshape(-1, 2),
         pilot.times,
-        settings or ExploreSettings(),
+        settings,
         waited_ns,
         true_pose,
     )
@@ -238,13 +266,12 @@ def _flown(
 
 def _scores(
     scenario: Scenario,
-    goal: Array,
+    goal: Array | None,
     flight: Flight,
     run: EstimatorRun,
     pilot: Explorer,
     waited_ns: int,
-    occupancy: OccupancyGrid | None,
-    T_world_map: Array,
+    covered_share: float,
 ) -> ExplorationScores:
     """Return the scores of a flight by the truth."""
     truth = flight.truth
@@ -256,9 +283,6 @@ def _scores(
     steps = np.diff(position[under_way][::stride], axis=0)
     assert truth.velocity_m_s is not None
     speed = np.linalg.norm(truth.velocity_m_s[under_way], axis=1)
-    start = flight_area(scenario.world, scenario.seed_of_world).pad + [0.0, 0.0, HOVER_M]
-    places = reachable_places(scenario.world, scenario.seed_of_world, start)
-    known = np.zeros(0) if occupancy is None else occupancy.at(moved(inverse_pose(T_world_map), places)) == FREE
     outcome: Outcome = pilot.outcome or "timeout"
     try:
         ate_m = float(score_trajectory(truth, run.trajectory).scores.ate_m.rmse)
@@ -267,11 +291,51 @@ def _scores(
     return ExplorationScores(
         outcome="collision" if flight.collision is not None else outcome,
         collided=flight.collision is not None,
-        distance_to_goal_m=float(np.linalg.norm(position[-1] - goal)),
+        distance_to_goal_m=None if goal is None else float(np.linalg.norm(position[-1] - goal)),
         path_m=float(np.linalg.norm(steps, axis=1).sum()),
-        shortest_m=shortest_m(true_map(solid_space(scenario.world, scenario.seed_of_world)), start, goal),
+        shortest_m=None if goal is None else _shortest_m(scenario, goal),
         time_s=float(truth.t_s[-1]),
-        covered_share=float(known.mean()) if len(known) else 0.0,
+        covered_share=covered_share,
         ate_m=ate_m,
         median_speed_m_s=float(np.median(speed[speed > 0.2])) if np.any(speed > 0.2) else 0.0,
     )
+
+
+def _start_of(scenario: Scenario) -> Array:
+    """Return where a flight begins (3,) above the pad [m]."""
+    return np.asarray(flight_area(scenario.world, scenario.seed_of_world).pad + [0.0, 0.0, HOVER_M])
+
+
+def _shortest_m(scenario: Scenario, goal: Array) -> float:
+    """Return the length of the shortest path to a goal (3,) on the true map [m]."""
+    grid = true_map(solid_space(scenario.world, scenario.seed_of_world))
+    return shortest_m(grid, _start_of(scenario), goal)
+
+
+class _Coverage:
+    """Measures once a second how much of the places that the body reaches in truth is known to be free."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Find the places."""
+        self._places = reachable_places(scenario.world, scenario.seed_of_world, _start_of(scenario))
+        self._pilot: Explorer | None = None
+        self.shares: list[tuple[float, float]] = []
+
+    def watch(self, pilot: Explorer) -> None:
+        """Measure the map of a pilot."""
+        self._pilot = pilot
+
+    def __call__(self, depth: DepthImage, estimate: Estimate, mapper: DenseMapper) -> None:
+        """Measure, if a second has passed; implements `DepthListener`."""
+        pilot = self._pilot
+        if pilot is None or pilot.T_world_odom is None:
+            return
+        now_s = 1e-9 * pilot.now_ns
+        if not self.shares or now_s >= self.shares[-1][0] + 1.0:
+            self.shares.append((now_s, self.share(mapper.fused(), pilot.T_world_odom)))
+
+    def share(self, occupancy: OccupancyGrid | None, T_world_map: Array) -> float:
+        """Return the share of the places that a map knows to be free."""
+        if occupancy is None or not len(self._places):
+            return 0.0
+        return float(np.mean(occupancy.at(moved(inverse_pose(T_world_map), self._places)) == FREE))

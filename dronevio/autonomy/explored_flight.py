@@ -18,11 +18,11 @@ from dronevio.sim.world import flight_area, solid_space
 OUTCOMES = MappingProxyType(
     {
         "reached": "reached the goal",
-        "covered": "covered what it can reach",
+        "covered": "saw all that it can reach",
         "unreachable": "found no way to the goal",
         "lost": "lost the estimate or the depth, and landed",
         "collision": "collided",
-        "timeout": "did not reach the goal in time",
+        "timeout": "was still under way when the time was over",
     }
 )
 """What the drone did, in words."""
@@ -46,6 +46,7 @@ def explored_flight(exploration: Exploration) -> ExploredFlight:
         T_world_map=e.T_world_map,
         decisions=tuple(TimedDecision(d.t_ns + e.waited_ns, d.what, d.position_m) for d in e.decisions),
         plans=tuple(FlownPlan(p.t_ns + e.waited_ns, p.positions_m, p.route_m) for p in e.plans),
+        coverage=e.coverage + [1e-9 * e.waited_ns, 0.0],
         stages=tuple(StageCost(name, 1e3 * s, np.array(getattr(e.times, name))) for name, s in stages),
         speed_limit_m_s=settings.limits.speed_m_s,
         heights_m=(float(pad_m[2] + settings.lowest_m), float(pad_m[2] + settings.highest_m)),
@@ -74,10 +75,11 @@ def document(exploration: Exploration, flight: ExploredFlight) -> dict[str, obje
         "seed": e.scenario.seed,
         "world": e.scenario.world,
         "pad_m": flight.pad_m.tolist(),
-        "goal_m": e.goal_m.tolist(),
+        "goal_m": None if e.goal_m is None else e.goal_m.tolist(),
         **scores,
         "outcome_text": flight.collision or flight.outcome,
         "plans": len(e.plans),
+        "coverage": flight.coverage.tolist(),
         "costs": costs,
         "decisions": decisions,
     }

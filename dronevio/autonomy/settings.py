@@ -1,7 +1,7 @@
-"""Settings of flights to a goal through unknown space."""
+"""Settings of flights through unknown space."""
 
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Literal
 
 from dronevio.autonomy.planning.body import Body
 from dronevio.estimator.mapping.config import DenseMapConfig
@@ -30,6 +30,9 @@ class ExploreSettings(Settings):
     """Greatest height of routes above the ground of the take-off [m]."""
     horizon_m: Annotated[float, Range(0.5, 100.0)] = 4.5
     """Length of the route that is planned as a trajectory [m]."""
+    views: Literal["gain", "nearest"] = "gain"
+    """How the next view of coverage is chosen: the unknown volume that it is expected to show for its time, or the
+    nearest frontier."""
     plan_rate_hz: Annotated[float, Range(0.1, 100.0)] = 5.0
     """Rate of plans [Hz]."""
     depth_latency_s: Annotated[float, Range(0.0, 1.0)] = 0.04

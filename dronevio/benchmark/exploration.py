@@ -86,9 +86,9 @@ def keys(groups: Sequence[str] = ()) -> tuple[FlightKey, ...]:
 
 def fly(key: FlightKey) -> dict[str, Any]:
     """Fly and return the row of a flight: its key, its scores, and why it failed, if it did."""
-    from dronevio.autonomy.planning.body import Body
     from dronevio.autonomy.exploration import RIG, exploration_scenario, explore
     from dronevio.autonomy.goals import drawn_goal
+    from dronevio.autonomy.planning.body import Body
     from dronevio.autonomy.ray_sensing import RaySensing
     from dronevio.autonomy.settings import ExploreSettings
     from dronevio.sim.faults import Faults

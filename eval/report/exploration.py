@@ -7,6 +7,7 @@
     scenario, seed, world, pad_m, goal_m       what was flown
     outcome, …                                 the scores, and `outcome_text`, what the drone did
     plans                                      number of plans
+    coverage                                   times and shares of the reachable places known to be free
     costs                                      of depth, map and plan: declared latency, and processor times
     decisions                                  time of the flight, text and place in the world
     configuration, versions, machine           as in `RunInfo`
@@ -19,7 +20,14 @@ from pathlib import Path
 from dronevio.eval.exploration import ExplorationScores, ExploredFlight
 from dronevio.eval.metrics.metric import DASH
 from dronevio.eval.provenance import RunInfo
-from dronevio.eval.report.exploration_plots import plot_error, plot_goal_distance, plot_heights, plot_map, plot_speed
+from dronevio.eval.report.exploration_plots import (
+    plot_coverage,
+    plot_error,
+    plot_goal_distance,
+    plot_heights,
+    plot_map,
+    plot_speed,
+)
 from dronevio.eval.report.tables import Cell, Table
 from dronevio.eval.report.templating import Tile, number, render_page
 from dronevio.models.recordings.files import write_text
@@ -29,11 +37,14 @@ FORMAT = "dronevio-exploration-report/1"
 
 def score_rows(scores: ExplorationScores) -> tuple[tuple[str, str, str], ...]:
     """Return names, values and units of the scores for a table."""
-    has_path = scores.shortest_m < float("inf")
+    has_path = scores.shortest_m is not None and scores.shortest_m < float("inf")
+    of_goal = (
+        ("distance to the goal at the end", number(scores.distance_to_goal_m, 2), "m"),
+        ("shortest path on the true map", number(scores.shortest_m, 1) if has_path else DASH, "m" if has_path else ""),
+    )
     return (
-        ("distance to the goal at the end", f"{scores.distance_to_goal_m:.2f}", "m"),
+        *(of_goal if scores.distance_to_goal_m is not None else ()),
         ("length of the path after take-off and turns", f"{scores.path_m:.1f}", "m"),
-        ("shortest path on the true map", f"{scores.shortest_m:.1f}" if has_path else DASH, "m" if has_path else ""),
         ("duration", f"{scores.time_s:.1f}", "s"),
         ("median speed while it moves", f"{scores.median_speed_m_s:.2f}", "m/s"),
         ("share of the reachable places that is known to be free", f"{100.0 * scores.covered_share:.1f}", "%"),
@@ -83,13 +94,14 @@ def _page(info: RunInfo, flight: ExploredFlight) -> str:
     """Return the page."""
     scores = tuple((Cell(name), Cell(f"{value} {unit}".strip())) for name, value, unit in score_rows(flight.scores))
     costs = tuple(tuple(Cell(text) for text in row) for row in cost_rows(flight))
+    progress = plot_coverage(flight) if flight.goal_m is None else plot_goal_distance(flight, flight.goal_m)
     return render_page(
         "exploration.html.j2",
         info.title,
         f"The drone {flight.collision or flight.outcome}.",
         tiles=list(_tiles(flight.scores)),
         map=None if flight.occupancy is None else plot_map(flight, flight.occupancy),
-        plots=[plot_heights(flight), plot_speed(flight), plot_goal_distance(flight), plot_error(flight)],
+        plots=[plot_heights(flight), plot_speed(flight), progress, plot_error(flight)],
         decisions=_decisions(flight),
         costs=Table("Costs", COST_COLUMNS, costs),
         scores=Table("Scores", ("quantity", "value"), scores),
@@ -111,9 +123,14 @@ def _decisions(flight: ExploredFlight) -> Table:
 
 def _tiles(scores: ExplorationScores) -> Iterator[Tile]:
     """Yield the numbers at the top of the page."""
-    has_path = scores.shortest_m < float("inf")
-    shortest = f"shortest on the true map: {scores.shortest_m:.1f} m" if has_path else "no path on the true map"
-    yield Tile("Distance to the goal", number(scores.distance_to_goal_m, 2), "m", "at the end, by the truth")
-    yield Tile("Path", number(scores.path_m, 1), "m", f"after take-off and turns; {shortest}")
+    covered = Tile("Covered", number(100.0 * scores.covered_share, 1), "%", "of the reachable places known to be free")
+    if scores.distance_to_goal_m is None or scores.shortest_m is None:
+        yield covered
+        yield Tile("Path", number(scores.path_m, 1), "m", "after take-off and turns")
+    else:
+        has_path = scores.shortest_m < float("inf")
+        shortest = f"shortest on the true map: {scores.shortest_m:.1f} m" if has_path else "no path on the true map"
+        yield Tile("Distance to the goal", number(scores.distance_to_goal_m, 2), "m", "at the end, by the truth")
+        yield Tile("Path", number(scores.path_m, 1), "m", f"after take-off and turns; {shortest}")
     yield Tile("Duration", number(scores.time_s, 1), "s", f"median speed {scores.median_speed_m_s:.2f} m/s")
     yield Tile("ATE", number(scores.ate_m, 3), "m", "of the odometry, after alignment")

@@ -69,7 +69,7 @@ def layer_in_world(flight: ExploredFlight, grid: OccupancyGrid, z_m: float) -> t
     known = grid.centres(np.argwhere(grid.states != UNKNOWN)) @ flight.T_world_map[:3, :3].T
     known = known + flight.T_world_map[:3, 3]
     near = known[np.abs(known[:, 2] - z_m) < _BAND_M + grid.cell_m]
-    shown = [near, flight.truth.p_world_imu, flight.estimate.p_world_imu, flight.pad_m[None], flight.goal_m[None]]
+    shown = [near, flight.truth.p_world_imu, flight.estimate.p_world_imu, flight.pad_m[None], flight.goals_m]
     xy = np.concatenate(shown)[:, :2]
     low_m = np.floor((xy.min(axis=0) - _MARGIN_M) / grid.cell_m) * grid.cell_m
     counts = np.ceil((xy.max(axis=0) + _MARGIN_M - low_m) / grid.cell_m).astype(int)
@@ -88,7 +88,8 @@ def plot_heights(flight: ExploredFlight) -> Markup:
 
     def draw(ax: Axes) -> None:
         ax.axhspan(*flight.heights_m, color=colours.SURROUNDINGS, alpha=0.15, linewidth=0.0, label="heights of routes")
-        ax.axhline(float(flight.goal_m[2]), color=INK, linewidth=0.8, linestyle="--", label="goal")
+        for _, _, z in flight.goals_m:
+            ax.axhline(z, color=INK, linewidth=0.8, linestyle="--", label="goal")
         for trajectory, label, colour, width in _both(flight):
             _draw_over_time(ax, flight, trajectory, trajectory.p_world_imu[:, 2], label, colour, width)
         _finish(ax, flight, "Height over time", "z [m]")
@@ -110,12 +111,22 @@ def plot_speed(flight: ExploredFlight) -> Markup:
     return svg_plot(_TIME_SIZE_IN[1], draw, "true and estimated speed, with the limit", _TIME_SIZE_IN[0])
 
 
-def plot_goal_distance(flight: ExploredFlight) -> Markup:
-    """Return the true and the estimated distance to the goal over time."""
+def plot_coverage(flight: ExploredFlight) -> Markup:
+    """Return the share of the reachable places that is known to be free over time."""
+
+    def draw(ax: Axes) -> None:
+        draw_line(ax, flight.coverage * [1.0, 100.0], color=colours.ESTIMATE, linewidth=1.6, label="known to be free")
+        _finish(ax, flight, "Coverage over time", "of the reachable places [%]")
+
+    return svg_plot(_TIME_SIZE_IN[1], draw, "share of the reachable places that is known", _TIME_SIZE_IN[0])
+
+
+def plot_goal_distance(flight: ExploredFlight, goal_m: Array) -> Markup:
+    """Return the true and the estimated distance to a goal (3,) over time."""
 
     def draw(ax: Axes) -> None:
         for trajectory, label, colour, width in _both(flight):
-            distance = np.linalg.norm(trajectory.p_world_imu - flight.goal_m, axis=1)
+            distance = np.linalg.norm(trajectory.p_world_imu - goal_m, axis=1)
             _draw_over_time(ax, flight, trajectory, distance, label, colour, width)
         _finish(ax, flight, "Distance to the goal over time", "distance [m]")
 
@@ -147,7 +158,8 @@ def plot_error(flight: ExploredFlight) -> Markup:
 
 def _draw_places(ax: Axes, flight: ExploredFlight) -> None:
     """Draw pad, goal and the numbered places of the decisions."""
-    for (x, y, _), marker, size, label in ((flight.pad_m, "s", 8.0, "pad"), (flight.goal_m, "*", 13.0, "goal")):
+    goals = [(goal, "*", 13.0, "goal") for goal in flight.goals_m]
+    for (x, y, _), marker, size, label in ((flight.pad_m, "s", 8.0, "pad"), *goals):
         ax.plot(x, y, marker, color=INK, markersize=size, markeredgecolor=_PALE, linestyle="none", label=label)
     box = {"boxstyle": "round,pad=0.2,rounding_size=0.6", "facecolor": _PALE, "edgecolor": _DARK, "linewidth": 0.5}
     for text, (x, y, _) in decision_labels(flight.decisions):

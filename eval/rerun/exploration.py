@@ -79,7 +79,12 @@ class ExplorationLog:
 
     def _log_places(self, flight: ExploredFlight) -> None:
         """Log pad and goal."""
-        goal = rr.Points3D([flight.goal_m], radii=_GOAL_RADIUS_M, colors=colours.rgb(colours.LANDMARKS), labels="goal")
+        goal = rr.Points3D(
+            flight.goals_m,
+            radii=_GOAL_RADIUS_M,
+            colors=colours.rgb(colours.LANDMARKS),
+            labels=["goal"] * len(flight.goals_m),
+        )
         pad = rr.Boxes3D(
             centers=[flight.pad_m], half_sizes=[_PAD_HALF_M], colors=colours.rgb(colours.SURROUNDINGS), labels="pad"
         )

@@ -15,7 +15,7 @@ from dronevio.sim.appearance.solids import Box, Surface
 from dronevio.sim.props.building import ceiling_lamp, coarse, hall_faces, landing_mat, room_walls
 from dronevio.sim.props.furniture import METAL, Piece, block
 from dronevio.sim.props.furniture_public import board, hose_cabinet, posters
-from dronevio.sim.props.storage import Stock, forklift, loaded_pallet, packing_table, rack, truss
+from dronevio.sim.props.storage import PALLET_M, Stock, forklift, loaded_pallet, packing_table, rack, truss
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
 Random = np.random.Generator
@@ -143,10 +143,11 @@ def _goods(rng: Random, stock: Stock, R: Array, back: Array) -> tuple[list[Surfa
 
 
 def _shelves(R: Array, back: Array) -> list[Box]:
-    """Return a plate below each level of a rack but the lowest, which casts the shadow of the goods."""
+    """Return a plate within the pallets of each level of a rack but the lowest, which casts the shadow of the goods."""
     grey = partial(textures.plain, colour=METAL)
     half = np.array([0.5 * _BAYS * _BAY_M, 0.45, 0.01])
-    return [Box(np.array([0.0, 0.54, level - 0.02]), half, grey).moved(R, back) for level in _LEVELS_M[1:]]
+    within_m = 0.5 * PALLET_M[2]
+    return [Box(np.array([0.0, 0.54, level + within_m]), half, grey).moved(R, back) for level in _LEVELS_M[1:]]
 
 
 def _rack_hulls() -> list[Box]:

@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dronevio.autonomy.planning.body import Body
-from dronevio.autonomy.pilot.decided_course import DecidedCourse, Motion
 from dronevio.autonomy.exploration import exploration_scenario, explore
+from dronevio.autonomy.pilot.decided_course import DecidedCourse, Motion
 from dronevio.autonomy.pilot.explorer import Explorer
-from dronevio.autonomy.planning.goal_path import path_to_goal
 from dronevio.autonomy.pilot.heading import Turn
+from dronevio.autonomy.pilot.margin import RelativeMargin
+from dronevio.autonomy.planning.body import Body
+from dronevio.autonomy.planning.goal_path import path_to_goal
 from dronevio.autonomy.planning.known_space import LocalSpace, around, with_free_column
 from dronevio.autonomy.planning.landing import landing_place
 from dronevio.autonomy.planning.local_plan import (
@@ -26,9 +27,8 @@ from dronevio.autonomy.planning.local_plan import (
     straight,
     trajectory_along,
 )
-from dronevio.autonomy.pilot.margin import RelativeMargin
-from dronevio.autonomy.ray_sensing import DriftingOdometry, RayCameras, RaySensing
 from dronevio.autonomy.planning.route import NoRoute, Route
+from dronevio.autonomy.ray_sensing import DriftingOdometry, RayCameras, RaySensing
 from dronevio.autonomy.settings import ExploreSettings
 from dronevio.estimator.mapping.config import DenseMapConfig
 from dronevio.models.arrays import Array

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dronevio.autonomy.planning.body import Body, horizontal_distance
 from dronevio.autonomy.goals import HOVER_M, drawn_goal, shortest_m
+from dronevio.autonomy.planning.body import Body, horizontal_distance
 from dronevio.autonomy.true_map import clear_samples, true_map
 from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError

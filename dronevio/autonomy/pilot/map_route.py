@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from dronevio.autonomy.pilot.moment import Moment
 from dronevio.autonomy.planning.body import Body
@@ -67,15 +68,19 @@ class MapRoute:
         """Take what is unknown around the next points of a path (N, 3) as occupied, since it cannot be seen from here.
 
         Returns:
-            Whether there was something unknown.
+            Whether there was something unknown that had not been given up.
         """
         assert m.grid is not None
         points = around(ahead[:_SEEN_AHEAD], body, m.grid.cell_m)
-        unseen = np.unique(m.grid.cells(points[m.grid.at(points) == UNKNOWN]), axis=0)
+        cells = np.unique(m.grid.cells(points[m.grid.at(points) == UNKNOWN]), axis=0)
+        unseen = m.to_map(m.grid.centres(cells))
+        if len(self._given_up) and len(unseen):
+            apart_m, _ = KDTree(self._given_up).query(unseen)
+            unseen = unseen[apart_m > 0.5 * m.grid.cell_m]
         if not len(unseen):
             return False
         self._say(f"give up {len(unseen)} cells of the route, which cannot be seen")
-        self._given_up = np.concatenate([self._given_up, m.to_map(m.grid.centres(unseen))])
+        self._given_up = np.concatenate([self._given_up, unseen])
         self._due_ns = m.now_ns
         return True
 

@@ -110,7 +110,7 @@ def _bordered(known: OccupancyGrid, heights_m: Array) -> OccupancyGrid:
     if np.all(b > a):
         inside = tuple(slice(i, j) for i, j in zip(a - low, b - low, strict=True))
         states[inside] = known.states[tuple(slice(i, j) for i, j in zip(a - first, b - first, strict=True))]
-    return OccupancyGrid(cell_m * low, cell_m, states, known.frame)
+    return OccupancyGrid(np.asarray(cell_m * low, np.float64), cell_m, states, known.frame)
 
 
 @dataclass(frozen=True, eq=False)

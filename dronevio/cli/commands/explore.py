@@ -46,12 +46,13 @@ COLLIDED = 3
 
 @dataclass(frozen=True)
 class ExploreCommand(Settings):
-    """Fly to a goal through an unknown world on the drone's own estimate: it sees, maps, plans and flies without truth.
+    """Fly through an unknown world on the drone's own estimate: it sees, maps, plans and flies without truth.
 
-    The drone takes off, looks around, and flies through space that it has seen to be free. The truth draws the goal and
-    scores the flight. Loops correct the map, and with it goal and route, unless --no-slam is given. The flight ends
-    when the goal is reached, when there is no way to it (the drone returns home first), when the estimate or the depth
-    is lost (it lands), in a collision, or after --time-s. The exit code is 3 after a collision, and 0 after all others.
+    The drone takes off, looks around, and flies through space that it has seen to be free: to a goal or, with --task
+    cover, to where it will see most of what is unknown. The truth draws the goal and scores the flight. Loops correct
+    the map, and with it goal and route, unless --no-slam is given. The flight ends when the goal is reached or nothing
+    is left to see, when there is no way to the goal (the drone returns home first), when the estimate or the depth is
+    lost (it lands), in a collision, or after --time-s. The exit code is 3 after a collision, and 0 after all others.
 
     The result is a folder with report.html, report.json, groundtruth.tum, estimate.tum, occupancy.npz (what is free,
     occupied and unknown), configuration.json, and run.rrd, in which the map grows (for `dronevio view`). The same
@@ -61,6 +62,7 @@ class ExploreCommand(Settings):
       dronevio explore
       dronevio explore --scenario forest --seed 3
       dronevio explore --goal 2 -5.5 1.2
+      dronevio explore --task cover --time-s 60
       dronevio explore --scenario room-medium --state truth --out runs/upper-bound
       dronevio explore --no-images
       dronevio explore --pilot.limits.speed-m-s 1.2
@@ -73,6 +75,8 @@ class ExploreCommand(Settings):
     list them."""
     seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the world, the goal and the errors of the sensors."""
+    task: Literal["reach", "cover"] = "reach"
+    """What the flight is for: to reach the goal, or to see all that can be reached."""
     goal: Annotated[tuple[float, ...], Range(-10_000.0, 10_000.0), tyro.conf.arg(metavar="X Y Z")] = ()
     """Position of the goal in the frame of the world, three numbers [m]; by default one behind obstacles, drawn by the
     seed."""
@@ -117,6 +121,8 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.cli.reservations import reserved, reserved_free_name
     from dronevio.models.errors import ConfigError
 
+    if command.goal and command.task == "cover":
+        raise ConfigError("--goal with --task cover; expected one of them")
     if len(command.goal) not in (0, 3):
         raise ConfigError(f"--goal {' '.join(map(str, command.goal))}; expected three numbers, x, y and z")
     scenario = _scenario(command)
@@ -168,26 +174,25 @@ def _flown(
     """Fly, and write the rerun file; return the flight, also as reports show it."""
     import numpy as np
 
-    from dronevio.autonomy.exploration import explore
+    from dronevio.autonomy.exploration import explore, goal_in
     from dronevio.autonomy.explored_flight import explored_flight
-    from dronevio.autonomy.goals import drawn_goal
     from dronevio.autonomy.ray_sensing import RaySensing
     from dronevio.eval.rerun.exploration import exploration_file
     from dronevio.recording.surroundings import surroundings_of
     from dronevio.sim.world import flight_area
 
-    drawn = command.goal or drawn_goal(scenario.world, scenario.seed_of_world, scenario.seed)
-    goal_m = np.array(drawn, np.float64)
+    goal_m = None if command.task == "cover" else goal_in(scenario, command.goal or None)
     pad_m = flight_area(scenario.world, scenario.seed_of_world).pad
     surroundings = surroundings_of(scenario.world, scenario.seed_of_world, scenario.light_seed)
     name = f"{scenario.name}, seed {scenario.seed}"
     with ExitStack() as stack:
-        places_m = np.stack([pad_m, goal_m])
+        places_m = np.stack([pad_m] if goal_m is None else [pad_m, goal_m])
         file = stack.enter_context(exploration_file(folder / "run.rrd", name, places_m, has_images=command.images))
         logs = [file, *stack.enter_context(_viewers(command, name))]
         exploration = explore(
             scenario,
-            goal_m.tolist(),
+            None if goal_m is None else goal_m.tolist(),
+            task=command.task,
             longest_s=command.time_s,
             settings=command.pilot,
             slam=command.slam,
@@ -238,6 +243,7 @@ def _provenance(
     configuration = {
         "dronevio": __version__,
         "scenario": to_jsonable(replace(scenario, world_seed=scenario.seed_of_world)),
+        "task": command.task,
         "goal_m": to_jsonable(exploration.goal_m),
         "time_s": command.time_s,
         "slam": command.slam,
