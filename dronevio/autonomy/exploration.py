@@ -166,7 +166,8 @@ def explore(
     Args:
         scenario: A scenario, or the name of a world or of a scenario.
         goal: (3,) Goal in the world [m]; by default one behind obstacles, drawn by the seed.
-        task: ``reach`` the goal, or ``cover`` the world: fly to where most of what is unknown will be seen.
+        task: ``reach`` the goal, or ``cover`` the world: fly to where most of what is unknown will be seen, within
+            the bounds of its flight space.
         seed: Seed of a named scenario.
         longest_s: Duration after which the flight ends [s].
         settings: Settings of mapping, planning and flight.
@@ -227,7 +228,9 @@ def _flown(
     """Fly and score."""
     settings = settings or ExploreSettings()
     covering = _Coverage(scenario)
-    task: Task = Cover(settings.views) if goal is None else ReachGoal(goal)
+    space = flight_area(scenario.world, scenario.seed_of_world).space
+    area = np.stack([space.low, space.high])
+    task: Task = Cover(area, settings.views) if goal is None else ReachGoal(goal)
     pilot = Explorer(task, longest_s, settings, sensing.depth, (*listeners, covering))
     covering.watch(pilot)
     estimator = TimedEstimator(sensing.estimator)

@@ -7,9 +7,10 @@ from typing import Literal, Protocol
 import numpy as np
 
 from dronevio.autonomy.pilot.moment import Moment
-from dronevio.autonomy.pilot.viewpoints import Viewpoints, frontier_views, viewpoints
+from dronevio.autonomy.pilot.viewpoints import Area, Viewpoints, frontier_views, viewpoints
 from dronevio.models.arrays import Array
 from dronevio.models.occupancy import OccupancyGrid
+from dronevio.models.rotation import inverse_pose
 
 Strategy = Literal["gain", "nearest"]
 """How the next view is chosen: by the volume that it is expected to show for its time, or as the nearest frontier."""
@@ -64,15 +65,20 @@ class ReachGoal:
 
 
 class Cover:
-    """See all space that can be reached; implements `Task`.
+    """See all space of an area that can be reached; implements `Task`.
 
     The best view is the one with the largest expected volume for its time. It is kept until another one is better by
     `_ANOTHER`, so that the flight does not waver.
     """
 
-    def __init__(self, strategy: Strategy = "gain") -> None:
-        """Begin without a view."""
-        self._strategy = strategy
+    def __init__(self, corners_m: Array, strategy: Strategy = "gain") -> None:
+        """Begin without a view.
+
+        Args:
+            corners_m: (2, 3) Lower and upper corner of what is to be seen, in the world [m].
+            strategy: How the next view is chosen.
+        """
+        self._corners_m, self._strategy = corners_m, strategy
         self._present: Target | None = None
         self._seen = np.zeros((0, 4))  # positions and headings of views that were taken or cannot be reached
 
@@ -84,7 +90,8 @@ class Cover:
     def target(self, m: Moment, known: OccupancyGrid, heights_m: Array) -> Target | None:
         """Return the next view."""
         find = viewpoints if self._strategy == "gain" else frontier_views
-        views = find(known, m.position_map_m, m.yaw_in_map_rad(), m.body, heights_m)
+        area = Area(self._corners_m, m.T_world_odom @ inverse_pose(m.T_map_odom))
+        views = find(known, m.position_map_m, m.yaw_in_map_rad(), m.body, heights_m, area)
         value = views.gain_m3 / views.cost_s if self._strategy == "gain" else 1.0 / (views.way_m + 0.1)
         value = np.where(self._is_seen(views), 0.0, value)
         if not np.any(value > 0.0):

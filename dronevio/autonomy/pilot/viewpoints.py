@@ -8,7 +8,7 @@ Sources: Yamauchi, "A frontier-based approach for autonomous exploration", 1997,
 González-Baños and Latombe, "Navigation strategies for exploring indoor environments", 2002, for the gain of a view.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import radians
 
 import numpy as np
@@ -27,6 +27,7 @@ _HIDDEN_M = 1.5  # way through unknown space after which what lies beyond counts
 _EVERY = 4  # of the cells along both axes, a candidate
 _SPEED_M_S, _TURN_RAD_S, _PAUSE_S = 1.2, 1.2, 0.5  # of the cost of a way
 _LEAST_GAIN_M3 = 0.3
+_MOST = 500  # candidates
 _OFF_M = 1.0  # between a start and the nearest cell where the body has room
 _BORDER_M = 1.0  # of unknown space around what is known
 _LEAST_CELLS, _BESIDE_M = 4, 0.4  # of a frontier; beyond the radius of the body, from where it is seen
@@ -48,7 +49,27 @@ class Viewpoints:
     """(N,) Expected time until the view is taken [s]."""
 
 
-def viewpoints(known: OccupancyGrid, start: Array, yaw_rad: float, body: Body, heights_m: Array) -> Viewpoints:
+@dataclass(frozen=True, eq=False)
+class Area:
+    """Upright box that is to be seen, with the pose of the map in its frame."""
+
+    corners_m: Array
+    """(2, 3) Lower and upper corner [m]."""
+    T_area_map: Array
+    """(4, 4) Pose of the map frame in the frame of the box."""
+
+    def walled(self, grid: OccupancyGrid) -> OccupancyGrid:
+        """Return a grid of the map in which columns outside the box are occupied."""
+        columns = np.indices(grid.states.shape[:2]).transpose(1, 2, 0)
+        centres = grid.centres(np.concatenate([columns, np.zeros((*columns.shape[:2], 1), np.int64)], axis=-1))
+        xy = centres @ self.T_area_map[:2, :3].T + self.T_area_map[:2, 3]
+        is_outside = np.any((xy < self.corners_m[0, :2]) | (xy > self.corners_m[1, :2]), axis=-1)
+        return replace(grid, states=np.where(is_outside[..., None], np.uint8(OCCUPIED), grid.states))
+
+
+def viewpoints(
+    known: OccupancyGrid, start: Array, yaw_rad: float, body: Body, heights_m: Array, area: Area
+) -> Viewpoints:
     """Return the places at the height of a start that are worth a view, by the known map.
 
     Args:
@@ -57,13 +78,12 @@ def viewpoints(known: OccupancyGrid, start: Array, yaw_rad: float, body: Body, h
         yaw_rad: Heading [rad].
         body: The body.
         heights_m: (2,) Band of heights whose volume is of interest [m].
+        area: What is to be seen.
     """
-    grid = _bordered(known, heights_m)
+    grid = area.walled(_bordered(known, heights_m))
     columns = _Columns.of(grid, start, body)
     way = columns.ways(start)
-    chosen = np.zeros(way.shape, np.bool_)
-    chosen[::_EVERY, ::_EVERY] = True
-    cells = np.argwhere(chosen & np.isfinite(way))
+    cells = _spread(np.isfinite(way), _EVERY)
     gains = columns.gains(cells)
     # The best heading: the largest sum over the rays in the field of view.
     window = int(_HALF_VIEW_RAD / (2.0 * np.pi / _RAYS))
@@ -90,6 +110,15 @@ def _of(
     way_m = way[tuple(cells.T)]
     turned = np.abs(np.mod(yaw - yaw_rad + np.pi, 2.0 * np.pi) - np.pi)
     return Viewpoints(positions, yaw, gain_m3, way_m, way_m / _SPEED_M_S + turned / _TURN_RAD_S + _PAUSE_S)
+
+
+def _spread(mask: Mask, every: int) -> Integers:
+    """Return cells (N, 2) of a mask at equal intervals, wider ones if there are too many."""
+    while True:
+        cells = every * np.argwhere(mask[::every, ::every])
+        if len(cells) <= _MOST:
+            return cells
+        every += 1
 
 
 def _none() -> Viewpoints:
@@ -171,24 +200,33 @@ class _Columns:
 
     def gains(self, cells: Integers) -> Array:
         """Return the unknown volumes (N, R) that are expected to be seen along rays from cells (N, 2) [m³]."""
+        blocks, unknown, step_m = *self._halved(), 2.0 * self.cell_m
+        # Cells along the rays: (N, R, K).
         angle = np.arange(_RAYS) * 2.0 * np.pi / _RAYS
-        range_m = np.arange(1, int(_REACH_M / self.cell_m) + 1) * self.cell_m
-        steps = np.stack([np.cos(angle)[:, None] * range_m, np.sin(angle)[:, None] * range_m], axis=-1) / self.cell_m
-        offsets = np.rint(steps).astype(np.int64)  # (R, K, 2)
-        shape = np.array(self.is_clear.shape)
-        at = cells[:, None, None] + offsets
-        inside = np.all((at >= 0) & (at < shape), axis=-1)
-        flat = np.where(inside, at[..., 0] * shape[1] + at[..., 1], 0)
-        blocked = self.blocks_sight.reshape(-1)[flat] | ~inside
-        unknown_m = np.where(inside, self.unknown.reshape(-1)[flat], 0.0)
-        seen = ~np.logical_or.accumulate(blocked, axis=-1)
-        hidden_m = np.cumsum(unknown_m > 0.5 * self.cell_m, axis=-1) * self.cell_m
-        area = range_m * self.cell_m * (2.0 * np.pi / _RAYS)
-        return np.asarray(np.sum(seen * unknown_m * np.exp(-hidden_m / _HIDDEN_M) * area, axis=-1))
+        range_m = np.arange(1, int(_REACH_M / step_m) + 1) * step_m
+        along = np.stack([np.cos(angle)[:, None] * range_m, np.sin(angle)[:, None] * range_m], axis=-1)
+        at = cells[:, None, None] // 2 + np.rint(along / step_m).astype(np.int64)
+        inside = np.all((at >= 0) & (at < blocks.shape), axis=-1)
+        flat = np.where(inside, at[..., 0] * blocks.shape[1] + at[..., 1], 0)
+        # What is unknown before the first occupied cell.
+        is_seen = ~np.logical_or.accumulate(blocks.reshape(-1)[flat] | ~inside, axis=-1)
+        unknown_m = np.where(is_seen, unknown.reshape(-1)[flat], 0.0)
+        hidden_m = np.cumsum(unknown_m > 0.5 * self.cell_m, axis=-1) * step_m
+        area_m2 = range_m * step_m * (2.0 * np.pi / _RAYS)
+        return np.asarray(np.sum(unknown_m * np.exp(-hidden_m / _HIDDEN_M) * area_m2, axis=-1))
+
+    def _halved(self) -> tuple[Mask, Array]:
+        """Return what blocks the sight, and the mean unknown height, in cells of twice the side."""
+        odd = np.array(self.is_clear.shape) % 2
+        pairs = [np.pad(each, [(0, odd[0]), (0, odd[1])], mode="edge") for each in (self.blocks_sight, self.unknown)]
+        blocks, unknown = (each.reshape(each.shape[0] // 2, 2, each.shape[1] // 2, 2) for each in pairs)
+        return np.asarray(blocks.any(axis=(1, 3))), np.asarray(unknown.mean(axis=(1, 3)))
 
 
-def frontier_views(known: OccupancyGrid, start: Array, yaw_rad: float, body: Body, heights_m: Array) -> Viewpoints:
-    """Return the nearest place to each frontier at the height of a start; its gain is the volume of the frontier.
+def frontier_views(
+    known: OccupancyGrid, start: Array, yaw_rad: float, body: Body, heights_m: Array, area: Area
+) -> Viewpoints:
+    """Return the places beside frontiers at the height of a start; their gain is the volume of the frontier.
 
     A frontier is a group of at least four free cells at that height that share a face with unknown space.
 
@@ -198,8 +236,9 @@ def frontier_views(known: OccupancyGrid, start: Array, yaw_rad: float, body: Bod
         yaw_rad: Heading [rad].
         body: The body.
         heights_m: (2,) Band of heights of the map that is used [m].
+        area: What is to be seen.
     """
-    grid = _bordered(known, heights_m)
+    grid = area.walled(_bordered(known, heights_m))
     columns = _Columns.of(grid, start, body)
     # Frontiers, and the nearest one of each cell.
     states = grid.states[..., columns.level]
@@ -208,15 +247,10 @@ def frontier_views(known: OccupancyGrid, start: Array, yaw_rad: float, body: Bod
     is_frontier = (groups > 0) & (sizes[groups] >= _LEAST_CELLS)
     if not is_frontier.any():
         return _none()
-    apart, nearest = ndimage.distance_transform_edt(~is_frontier, sampling=grid.cell_m, return_indices=True)
-    # The place with the shortest way in reach of each frontier.
+    apart_m, nearest = ndimage.distance_transform_edt(~is_frontier, sampling=grid.cell_m, return_indices=True)
     way = columns.ways(start)
-    cells = np.argwhere(np.isfinite(way) & (apart <= body.radius_m + _BESIDE_M))
+    cells = _spread(np.isfinite(way) & (apart_m <= body.radius_m + _BESIDE_M), 2)
     toward = nearest[:, cells[:, 0], cells[:, 1]].T
-    group, length = groups[tuple(toward.T)], way[tuple(cells.T)]
-    order = np.lexsort((length, group))
-    best = order[np.unique(group[order], return_index=True)[1]]
-    cells, direction = cells[best], toward[best] - cells[best]
-    return _of(
-        grid, columns, cells, np.arctan2(*direction.T[::-1]), sizes[group[best]] * grid.cell_m**3, way, start, yaw_rad
-    )
+    yaw = np.arctan2(toward[:, 1] - cells[:, 1], toward[:, 0] - cells[:, 0])
+    volume_m3 = sizes[groups[tuple(toward.T)]] * grid.cell_m**3
+    return _of(grid, columns, cells, yaw, volume_m3, way, start, yaw_rad)
