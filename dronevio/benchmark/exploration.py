@@ -1,8 +1,8 @@
-"""The suite ``explore``: flights to goals through unknown worlds, in groups that share worlds and seeds.
+"""The suite ``explore``: flights through unknown worlds, in groups that share worlds and seeds.
 
 Seeds from 1000 on are those of the figures; constants were tuned on seeds below 100. Groups on the same seeds have the
 same worlds and goals, so that they can be compared flight by flight. A flight that crashes the program counts as one
-that has not reached its goal.
+that has not reached its goal, or has seen nothing.
 """
 
 import json
@@ -26,7 +26,11 @@ GOAL_M = 0.5
 """True distance from the goal at the end within which it is reached [m]."""
 CONFIDENCE = 0.95
 _WORLDS = ("room", "forest", "warehouse", "corridor", "office")
+_COVERED = ("office", "forest", "warehouse")
+_COVER_S = 60.0
 _FIRST = 1000
+_TWICE = {"drift_m_per_sqrt_m": 0.008, "yaw_drift_rad_per_sqrt_m": 0.002}
+_PERFECT = {"depth_sigma_per_m": 1e-4, "drift_m_per_sqrt_m": 0.0, "yaw_drift_rad_per_sqrt_m": 0.0}
 
 
 @dataclass(frozen=True)
@@ -50,12 +54,15 @@ GROUPS: Mapping[str, Group] = MappingProxyType(
         group.name: group
         for group in (
             Group("estimate", "on the estimate, from images", _WORLDS, range(_FIRST, _FIRST + 20)),
-            Group("rays", "depth along rays, drifting odometry", _WORLDS, range(2000, 2030), {"rays": 1.0}),
+            Group("rays", "depth along rays, drifting odometry", _WORLDS, range(2000, 2030), {"rays": {}}),
             Group("true-pose", "true pose, same images", _WORLDS, range(_FIRST, _FIRST + 6), {"true_pose": True}),
             Group("no-slam", "map without loops", ("office", "corridor"), range(_FIRST, _FIRST + 12), {"slam": False}),
             Group("dark", "no light for 1 s", ("office", "forest"), range(_FIRST, _FIRST + 6), {"dark_s": 1.0}),
             Group("wind", "gusts at 3 m/s", ("office", "forest"), range(_FIRST, _FIRST + 6), {"wind_m_s": 3.0}),
-            Group("drift", "twice the drift", ("office", "corridor"), range(2000, 2006), {"rays": 2.0}),
+            Group("drift", "twice the drift", ("office", "corridor"), range(2000, 2006), {"rays": _TWICE}),
+            Group("perfect", "perfect depth and pose", ("office",), range(_FIRST, _FIRST + 20), {"rays": _PERFECT}),
+            Group("cover", "coverage in 60 s", _COVERED, range(_FIRST, _FIRST + 3), {"views": "gain"}),
+            Group("cover-nearest", "nearest frontier", _COVERED, range(_FIRST, _FIRST + 3), {"views": "nearest"}),
             Group("narrow", "doors of 0.9 m", ("office-narrow",), range(_FIRST, _FIRST + 6), {"radius_m": 0.36}),
             Group("white", "white walls", ("office-white",), range(_FIRST, _FIRST + 6)),
             Group("glass", "walls of glass", ("office-glass",), range(_FIRST, _FIRST + 6)),
@@ -86,7 +93,7 @@ def keys(groups: Sequence[str] = ()) -> tuple[FlightKey, ...]:
 
 def fly(key: FlightKey) -> dict[str, Any]:
     """Fly and return the row of a flight: its key, its scores, and why it failed, if it did."""
-    from dronevio.autonomy.exploration import RIG, exploration_scenario, explore
+    from dronevio.autonomy.exploration import LONGEST_S, RIG, exploration_scenario, explore
     from dronevio.autonomy.goals import drawn_goal
     from dronevio.autonomy.planning.body import Body
     from dronevio.autonomy.ray_sensing import RaySensing
@@ -104,20 +111,17 @@ def fly(key: FlightKey) -> dict[str, Any]:
     if "radius_m" in options:
         radius_m = options["radius_m"]
         settings = replace(settings, body=Body(radius_m, min(radius_m, settings.body.bare_radius_m)))
-    rays = None
-    if "rays" in options:
-        nominal = RaySensing()
-        rays = replace(
-            nominal,
-            drift_m_per_sqrt_m=options["rays"] * nominal.drift_m_per_sqrt_m,
-            yaw_drift_rad_per_sqrt_m=options["rays"] * nominal.yaw_drift_rad_per_sqrt_m,
-        )
+    if "views" in options:
+        settings = replace(settings, views=options["views"])
+    covers = "views" in options
+    rays = RaySensing(**options["rays"]) if "rays" in options else None
     row: dict[str, Any] = {**asdict(key)}
     try:
-        goal = drawn_goal(key.world, key.seed, key.seed, settings.body)
         found = explore(
             scenario,
-            tuple(goal),
+            None if covers else tuple(drawn_goal(key.world, key.seed, key.seed, settings.body)),
+            task="cover" if covers else "reach",
+            longest_s=_COVER_S if covers else LONGEST_S,
             settings=settings,
             slam=options.get("slam", True),
             true_pose=options.get("true_pose", False),
@@ -227,8 +231,8 @@ class Summary:
 
 
 def summaries(rows: Sequence[Mapping[str, Any]]) -> list[Summary]:
-    """Return the summaries of rows, by group and world, and of all worlds of a group that has several."""
-    found = []
+    """Return the summaries of flights to goals, by group and world, and of all worlds of a group that has several."""
+    found, rows = [], [row for row in rows if not is_coverage(row)]
     for name in dict.fromkeys(row["group"] for row in rows):
         of_group = [row for row in rows if row["group"] == name]
         worlds = list(dict.fromkeys(row["world"] for row in of_group))
@@ -240,8 +244,45 @@ def summaries(rows: Sequence[Mapping[str, Any]]) -> list[Summary]:
 
 def has_reached(row: Mapping[str, Any]) -> bool:
     """Return whether a flight ended near its goal without a collision, as its pilot said."""
-    near = row.get("distance_to_goal_m", np.inf) <= GOAL_M
-    return bool(row["outcome"] == "reached" and near and not row["collided"])
+    return bool(row["outcome"] == "reached" and row["distance_to_goal_m"] <= GOAL_M and not row["collided"])
+
+
+def is_coverage(row: Mapping[str, Any]) -> bool:
+    """Return whether a flight had no goal, but was to see what it can reach."""
+    return "views" in GROUPS[row["group"]].options
+
+
+@dataclass(frozen=True)
+class CoveragePair:
+    """Two flights in the same world: by the expected volume of views, and to the nearest frontier."""
+
+    world: str
+    """Name of the world."""
+    seed: int
+    """Its seed."""
+    by_gain: float
+    """Share of the reachable places that is known to be free at the end; 0 after an error."""
+    by_nearest: float
+    """The same of the other flight."""
+    collided: bool
+    """Whether one of them collided."""
+
+    @property
+    def ratio(self) -> float:
+        """Ratio of the shares."""
+        return self.by_gain / self.by_nearest if self.by_nearest else np.inf
+
+
+def coverage_pairs(rows: Sequence[Mapping[str, Any]]) -> list[CoveragePair]:
+    """Return the pairs of flights for coverage of which both were flown."""
+    flown = {(row["group"], row["world"], row["seed"]): row for row in rows if is_coverage(row)}
+    pairs = []
+    for (group, world, seed), row in flown.items():
+        other = flown.get(("cover-nearest", world, seed))
+        if group == "cover" and other is not None:
+            shares = row.get("covered_share", 0.0), other.get("covered_share", 0.0)
+            pairs.append(CoveragePair(world, seed, *shares, row["collided"] or other["collided"]))
+    return pairs
 
 
 def _summary(group: str, world: str, rows: Sequence[Mapping[str, Any]]) -> Summary:

@@ -14,6 +14,7 @@ from dronevio.benchmark.exploration import (
     RESULTS_FILE,
     FlightKey,
     Group,
+    coverage_pairs,
     fly,
     has_reached,
     keys,
@@ -72,6 +73,19 @@ def test_an_error_counts_as_a_failure() -> None:
     assert [each.world for each in both] == ["room", "office", "all"] and both[-1].flights == 2
 
 
+def test_coverage_is_compared_in_pairs_and_counts_no_goals() -> None:
+    """A flight that crashed the program has seen nothing; one without its pair is left out."""
+    flown = {"outcome": "timeout", "collided": False, "reason": "", "distance_to_goal_m": None, "shortest_m": None}
+    by_gain = {**flown, "group": "cover", "world": "office", "seed": 1000, "covered_share": 0.45}
+    nearest = {**by_gain, "group": "cover-nearest", "covered_share": 0.3}
+    crashed = {"group": "cover", "world": "forest", "seed": 1000, "outcome": "error", "collided": False, "reason": "x"}
+    other = {**nearest, "world": "forest", "collided": True}
+    pairs = coverage_pairs([by_gain, nearest, crashed, other, {**by_gain, "seed": 1001}])
+    assert [(p.world, p.seed, p.collided) for p in pairs] == [("office", 1000, False), ("forest", 1000, True)]
+    assert pairs[0].ratio == pytest.approx(1.5) and pairs[1].by_gain == 0.0
+    assert [each.group for each in summaries([row(0), by_gain, nearest])] == ["rays"]
+
+
 def test_suite_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     flown: list[int] = []
 
@@ -97,7 +111,7 @@ def test_wrong_results_are_named(tmp_path: Path) -> None:
 def test_command_flies_and_prints(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    group = Group("rays", "", ("room",), range(2000, 2001), {"rays": 1.0})
+    group = Group("rays", "", ("room",), range(2000, 2001), {"rays": {}})
     monkeypatch.setattr(exploration, "GROUPS", {"rays": group})
     monkeypatch.setattr(exploration, "_flown", lambda missing, workers: map(fly, missing))
     arguments = ["benchmark", "--suite", "explore", "--variants", "rays", "--out", str(tmp_path)]

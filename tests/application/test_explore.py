@@ -84,7 +84,7 @@ def test_decisions_are_in_the_order_of_time_and_on_the_path(flown: Result) -> No
 
 def test_costs_stand_beside_the_declared_latencies(flown: Result) -> None:
     costs = flown.document["costs"]
-    assert [costs[name]["latency_ms"] for name in ("depth", "map", "plan")] == [40.0, 10.0, 100.0]
+    assert [costs[name]["latency_ms"] for name in ("depth", "map", "plan")] == [40.0, 10.0, 150.0]
     assert all(0.0 < cost["cpu_ms_mean"] < cost["cpu_ms_p99"] for cost in costs.values())
 
 
@@ -228,3 +228,33 @@ def test_a_flight_with_images(tmp_path: Path, run_command: Callable[..., Result]
     assert {path.name for path in out.iterdir()} == FILES | {"estimate_map.tum"}
     assert len(read_tum(out / "estimate_map.tum")) > 200
     assert "world/camera/image" in entities(out / "run.rrd")
+
+
+def test_coverage_has_no_goal_and_grows(tmp_path: Path, run_command: Callable[..., Result]) -> None:
+    out = tmp_path / "room"
+    words = (
+        "explore",
+        "--scenario",
+        "room",
+        "--task",
+        "cover",
+        "--no-images",
+        "--time-s",
+        "24",
+        "--out",
+        out,
+        "--json",
+    )
+    d = run_command(out, *words).document
+    assert d["goal_m"] is None and d["distance_to_goal_m"] is None and d["shortest_m"] is None
+    assert d["outcome"] in ("covered", "timeout") and not d["collided"]
+    times, shares = np.array(d["coverage"]).T
+    assert np.all(np.diff(times) >= 0.99) and shares[-1] > shares[np.searchsorted(times, 14.0)] > 0.0
+    assert d["covered_share"] == pytest.approx(shares[-1], abs=0.05)
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "Coverage over time" in page and "Distance to the goal" not in page
+
+
+def test_a_goal_is_refused_for_coverage(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explore", "--task", "cover", "--goal", "1", "2", "3"]) == 2
+    assert "--goal with --task cover" in capsys.readouterr().err

@@ -13,6 +13,7 @@ from dronevio.autonomy.pilot.decided_course import DecidedCourse, Motion
 from dronevio.autonomy.pilot.explorer import Explorer
 from dronevio.autonomy.pilot.heading import Turn
 from dronevio.autonomy.pilot.margin import RelativeMargin
+from dronevio.autonomy.pilot.tasks import ReachGoal
 from dronevio.autonomy.planning.body import Body
 from dronevio.autonomy.planning.goal_path import path_to_goal
 from dronevio.autonomy.planning.known_space import LocalSpace, around, with_free_column
@@ -403,7 +404,7 @@ def flown_with_jump(t_ns: int) -> tuple[Flight, Explorer]:
     """Fly to a goal in a room of the office, with a correction of 1 m and 10° at a time."""
     scenario = exploration_scenario("office", 0)
     cameras = RayCameras(scenario.world, 0, scenario.rig, 0)
-    pilot = Explorer(np.array([-0.35, -7.55, 1.25]), 45.0, source=cameras)
+    pilot = Explorer(ReachGoal(np.array([-0.35, -7.55, 1.25])), 45.0, source=cameras)
     odometry = Jumping(DriftingOdometry(cameras, 0), t_ns)
     return fly_closed_loop(scenario, odometry, cameras, pilot=pilot), pilot
 

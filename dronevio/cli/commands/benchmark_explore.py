@@ -1,10 +1,20 @@
-"""``dronevio benchmark --suite explore``: flights to goals through unknown worlds."""
+"""``dronevio benchmark --suite explore``: flights through unknown worlds."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from statistics import median
 from typing import Any
 
-from dronevio.benchmark.exploration import GROUPS, RESULTS_FILE, has_reached, run_suite, summaries
+from dronevio.benchmark.exploration import (
+    GROUPS,
+    RESULTS_FILE,
+    CoveragePair,
+    coverage_pairs,
+    has_reached,
+    is_coverage,
+    run_suite,
+    summaries,
+)
 from dronevio.cli.terminal import print_json, print_table, progress_bars
 from dronevio.models.errors import ConfigError
 
@@ -75,10 +85,31 @@ def _print(rows: Sequence[Mapping[str, Any]]) -> None:
         for each in summaries(rows)
     ]
     print_table("Flights to goals through unknown worlds; medians over flights", columns, cells, left=columns[:2])
+    _print_coverage(coverage_pairs(rows))
     for row in rows:
-        if not has_reached(row):
-            away = f", {row['distance_to_goal_m']:.1f} m from the goal" if "distance_to_goal_m" in row else ""
+        if row["collided"] if is_coverage(row) else not has_reached(row):
+            distance_m = row.get("distance_to_goal_m")
+            away = "" if distance_m is None else f", {distance_m:.1f} m from the goal"
             print(f"  {row['group']}, {row['world']}, seed {row['seed']}: {row['outcome']}{away}: {row['reason']}")
+
+
+def _print_coverage(pairs: Sequence[CoveragePair]) -> None:
+    """Print pairs of flights for coverage, if there are any."""
+    columns = ("world", "seed", "covered [%]", "nearest frontier [%]", "ratio", "collision")
+    cells = [
+        (
+            each.world,
+            f"{each.seed}",
+            f"{100.0 * each.by_gain:.1f}",
+            f"{100.0 * each.by_nearest:.1f}",
+            f"{each.ratio:.2f}",
+            "yes" if each.collided else "no",
+        )
+        for each in pairs
+    ]
+    if cells:
+        print_table("Coverage in 60 s", columns, cells, left=columns[:1])
+        print(f"median ratio: {median(each.ratio for each in pairs):.2f}")
 
 
 def _percent(bounds: tuple[float, float]) -> str:

@@ -24,9 +24,9 @@ S = 1_000_000_000
 class Scores:
     """Scores of a flight."""
 
-    distance_to_goal_m: float = 0.25
+    distance_to_goal_m: float | None = 0.25
     path_m: float = 7.0
-    shortest_m: float = 5.0
+    shortest_m: float | None = 5.0
     time_s: float = 4.0
     covered_share: float = 0.125
     ate_m: float | None = 0.5
@@ -57,6 +57,7 @@ def flight(grid: OccupancyGrid | None = None, T_world_map: np.ndarray | None = N
         T_world_map=np.eye(4) if T_world_map is None else T_world_map,
         decisions=(TimedDecision(S, "fly", (1.0, 0.0, 1.0)), TimedDecision(2 * S, "a < b", (2.0, 0.0, 1.0))),
         plans=(FlownPlan(S, positions, positions),),
+        coverage=np.array([[0.0, 0.0], [1.0, 0.125]]),
         stages=(
             StageCost("depth", 40.0, np.arange(1.0, 102.0)),
             StageCost("plan", 100.0, np.zeros(0)),
