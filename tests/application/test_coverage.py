@@ -42,11 +42,14 @@ def expected_m3(to_border_m: float) -> float:
 
 def test_views_look_into_the_unknown_and_their_gain_is_its_volume() -> None:
     views = viewpoints(half_known(), START, 0.0, BODY, HEIGHTS_M, WIDE)
-    middle = np.abs(views.positions_m[:, 1] - 4.0) < 1.0  # where the sector ends at no wall
-    assert np.all(np.abs(np.sin(views.yaw_rad[middle])) < 0.2) and np.all(np.cos(views.yaw_rad[middle]) > 0.0)
+    middle = np.abs(views.positions_m[:, 1] - 4.0) < 0.5  # where the sector ends at no wall
     for (x, _, z), gain in zip(views.positions_m[middle], views.gain_m3[middle], strict=True):
-        assert z == START[2] and gain == pytest.approx(expected_m3(4.0 - x), rel=0.12)
+        assert z == START[2] and gain == pytest.approx(expected_m3(4.0 - x), rel=0.16)
     assert np.ptp(views.positions_m[middle, 0]) > 2.0
+    # Far from the border the heading is at right angles to it; close to it, many headings see as much.
+    far = middle & (views.positions_m[:, 0] < 2.4)
+    np.testing.assert_allclose(np.cos(views.yaw_rad[far]), 1.0, atol=1e-6)
+    assert np.all(np.cos(views.yaw_rad[middle]) > 0.7)
     straight_m = np.linalg.norm(views.positions_m - START, axis=1)
     assert np.all(views.way_m > straight_m - 0.1) and np.all(views.way_m < 1.09 * straight_m + 0.1)
 

@@ -21,6 +21,7 @@ from dronevio.models.arrays import Array, Integers, Mask
 from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
 _RAYS = 72
+_STEP_RAD = 2.0 * np.pi / _RAYS
 _REACH_M = 4.0  # to which a view is counted, as the depth is used
 _HALF_VIEW_RAD = radians(40.0)
 _HIDDEN_M = 1.5  # way through unknown space after which what lies beyond counts 1/e
@@ -85,13 +86,13 @@ def viewpoints(
     way = columns.ways(start)
     cells = _spread(np.isfinite(way), _EVERY)
     gains = columns.gains(cells)
-    # The best heading: the largest sum over the rays in the field of view.
-    window = int(_HALF_VIEW_RAD / (2.0 * np.pi / _RAYS))
-    total = np.sum([np.roll(gains, shift, axis=1) for shift in range(-window, window + 1)], axis=0)
-    best = np.argmax(total, axis=1)
-    gain = total[np.arange(len(cells)), best]
+    # The best heading sees most, in the middle of the field of view rather than at its edge.
+    window = np.arange(-int(_HALF_VIEW_RAD / _STEP_RAD), int(_HALF_VIEW_RAD / _STEP_RAD) + 1)
+    seen = np.stack([np.roll(gains, -shift, axis=1) for shift in window])
+    best = np.argmax(np.tensordot(np.cos(window * _STEP_RAD), seen, axes=1), axis=1)
+    gain = seen.sum(axis=0)[np.arange(len(cells)), best]
     worth = gain >= _LEAST_GAIN_M3
-    return _of(grid, columns, cells[worth], best[worth] * 2.0 * np.pi / _RAYS, gain[worth], way, start, yaw_rad)
+    return _of(grid, columns, cells[worth], best[worth] * _STEP_RAD, gain[worth], way, start, yaw_rad)
 
 
 def _of(
@@ -202,7 +203,7 @@ class _Columns:
         """Return the unknown volumes (N, R) that are expected to be seen along rays from cells (N, 2) [m³]."""
         blocks, unknown, step_m = *self._halved(), 2.0 * self.cell_m
         # Cells along the rays: (N, R, K).
-        angle = np.arange(_RAYS) * 2.0 * np.pi / _RAYS
+        angle = np.arange(_RAYS) * _STEP_RAD
         range_m = np.arange(1, int(_REACH_M / step_m) + 1) * step_m
         along = np.stack([np.cos(angle)[:, None] * range_m, np.sin(angle)[:, None] * range_m], axis=-1)
         at = cells[:, None, None] // 2 + np.rint(along / step_m).astype(np.int64)
@@ -212,7 +213,7 @@ class _Columns:
         is_seen = ~np.logical_or.accumulate(blocks.reshape(-1)[flat] | ~inside, axis=-1)
         unknown_m = np.where(is_seen, unknown.reshape(-1)[flat], 0.0)
         hidden_m = np.cumsum(unknown_m > 0.5 * self.cell_m, axis=-1) * step_m
-        area_m2 = range_m * step_m * (2.0 * np.pi / _RAYS)
+        area_m2 = range_m * step_m * _STEP_RAD
         return np.asarray(np.sum(unknown_m * np.exp(-hidden_m / _HIDDEN_M) * area_m2, axis=-1))
 
     def _halved(self) -> tuple[Mask, Array]:
