@@ -5,9 +5,10 @@ from math import pi
 import numpy as np
 import pytest
 
+from dronevio.autonomy.pilot.map_columns import Area
 from dronevio.autonomy.pilot.moment import Moment
 from dronevio.autonomy.pilot.tasks import Cover, Strategy
-from dronevio.autonomy.pilot.viewpoints import Area, frontier_views, viewpoints
+from dronevio.autonomy.pilot.viewpoints import frontier_views, viewpoints
 from dronevio.autonomy.planning.body import Body
 from dronevio.models.arrays import Array
 from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid

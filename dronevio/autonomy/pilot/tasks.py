@@ -6,8 +6,9 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from dronevio.autonomy.pilot.map_columns import Area
 from dronevio.autonomy.pilot.moment import Moment
-from dronevio.autonomy.pilot.viewpoints import Area, Viewpoints, frontier_views, viewpoints
+from dronevio.autonomy.pilot.viewpoints import Viewpoints, frontier_views, viewpoints
 from dronevio.models.arrays import Array
 from dronevio.models.occupancy import OccupancyGrid
 from dronevio.models.rotation import inverse_pose
