@@ -214,7 +214,7 @@ class Explorer:
         if is_lost or m.grid is None or without_ns > max(_LAND_AFTER_NS, 5e9 / c.map.rate_hz):
             self._brake_and_land(m, "the estimate is lost" if is_lost else "no depth", is_lost)
             return
-        space = LocalSpace.of(m.grid, m.body, m.position_m)
+        space = LocalSpace.of(m.grid, m.body, m.position_m, self._heights(m))
         if without_ns > max(_STOP_AFTER_NS, 2.5e9 / c.map.rate_hz):
             self._say("no depth: stop")
             self._follow(m, stop(space, m.start, m.body, c.limits), self._turn(m, None))

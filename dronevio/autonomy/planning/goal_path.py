@@ -7,6 +7,8 @@ Source: Koenig, Tovey and Smirnov, "Performance bounds for planning in unknown t
 assumption.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from dronevio.autonomy.planning.body import Body, body_distance
@@ -25,7 +27,7 @@ def path_to_goal(
 
     Args:
         known: What is known, in the frame of the map.
-        start: (3,) First point [m].
+        start: (3,) First point; from outside the heights, the path leads straight up or down to them first [m].
         goal: (3,) Last point [m].
         body: What must have room along the path.
         heights_m: Least and greatest z of the path [m].
@@ -37,6 +39,9 @@ def path_to_goal(
     high = np.ceil((ends.max(axis=0) + _MARGIN_M) / cell_m).astype(np.int64)
     low[2], high[2] = (round(z / cell_m) for z in heights_m)
     low[2], high[2] = low[2] - levels, high[2] + levels
+    within = np.clip(
+        start, [-np.inf, -np.inf, heights_m[0] + 0.5 * cell_m], [np.inf, np.inf, heights_m[1] - 0.5 * cell_m]
+    )
     # Embed what is known in the box.
     states = np.full(high - low, FREE, np.uint8)
     first = np.round(known.low_m / cell_m).astype(np.int64)
@@ -54,7 +59,9 @@ def path_to_goal(
     # The body stays between the heights.
     distance.distance_m[..., :levels] = 0.0
     distance.distance_m[..., states.shape[2] - levels :] = 0.0
-    found = route(grid, distance, start, goal, clearance_m=body.radius_m, near_m=_NEAR_M)
+    found = route(grid, distance, within, goal, clearance_m=body.radius_m, near_m=_NEAR_M)
     if isinstance(found, NoRoute) and found.cause == "start":  # closer to a surface than the margin allows
-        found = route(grid, distance, start, goal, clearance_m=body.bare_radius_m, near_m=2.0 * _NEAR_M)
-    return found
+        found = route(grid, distance, within, goal, clearance_m=body.bare_radius_m, near_m=2.0 * _NEAR_M)
+    if isinstance(found, NoRoute) or np.array_equal(within, start):
+        return found
+    return replace(found, waypoints=np.vstack([start, found.waypoints]))

@@ -27,8 +27,15 @@ class LocalSpace:
     """Horizontal distances to surfaces, or to what is unknown if that is nearer less the margin of the body."""
 
     @classmethod
-    def of(cls, grid: OccupancyGrid, body: Body, position: Array) -> "LocalSpace":
-        """Return the space for a body at a position (3,) in the grid [m]; nothing outside the grid is known."""
+    def of(cls, grid: OccupancyGrid, body: Body, position: Array, heights_m: Array | None = None) -> "LocalSpace":
+        """Return the space for a body; nothing outside the grid is known.
+
+        Args:
+            grid: The local map.
+            body: The body.
+            position: (3,) Where it is [m].
+            heights_m: (2,) Least and greatest z that it may have, but for where it is; None for any [m].
+        """
         unknown = grid.states == UNKNOWN
         unseen = _thick(unknown, 3)
         reach = round(NEAR_M / grid.cell_m)
@@ -42,6 +49,10 @@ class LocalSpace:
         to_unseen = body_distance(grid, unseen, body).distance_m
         to_unseen += np.where(to_unseen > 0.0, np.float32(body.radius_m - body.bare_radius_m), np.float32(0.0))
         distance = DistanceField(grid.low_m, grid.cell_m, np.minimum(to_surfaces, to_unseen), grid.frame)
+        if heights_m is not None:
+            z = grid.low_m[2] + grid.cell_m * (np.arange(grid.states.shape[2]) + 0.5)
+            least, most = np.minimum(heights_m[0], position[2]), np.maximum(heights_m[1], position[2])
+            distance.distance_m[..., (z < least - 0.5 * grid.cell_m) | (z > most + 0.5 * grid.cell_m)] = 0.0
         states = np.where((grid.states == UNKNOWN) & ~unseen, np.uint8(FREE), grid.states)
         return cls(replace(grid, states=states), distance)
 

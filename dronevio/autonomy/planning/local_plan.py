@@ -23,6 +23,7 @@ _STEP_M = 0.1  # between samples of a path
 _SPARE_M = (0.2, 0.1, 0.0)  # clearance of the route beyond that of the corridor, tried in turn
 _ASIDE_M = (0.3, 1.0)  # distance of places from which a path is looked at again
 _STILL_M_S = 0.1  # up to which a trajectory is sought in every corridor, however long that takes
+_LEVEL_M, _FAR_M = 0.15, 20.0  # half the sides of boxes in which the vehicle brakes
 _MAX_EXPANSIONS = 100_000
 _NEIGHBOURS = np.ones((3, 3, 3), np.bool_)
 
@@ -113,7 +114,7 @@ def place_beside(space: LocalSpace, position: Array, ahead: Array, body: Body) -
 
 
 def stop(space: LocalSpace, start: Array, body: Body, limits: Limits) -> CorridorTrajectory:
-    """Return a trajectory from a state to rest: within free boxes ahead if there is one, else as fast as possible."""
+    """Return a trajectory from a state to rest: in free boxes ahead, level if possible, else as fast as possible."""
     speed = float(np.linalg.norm(start[1]))
     if speed > 1e-3:
         ahead = start[0] + start[1] / speed * np.linspace(0.0, 1.0, 12)[:, None] * speed**2 / limits.accel_m_s2
@@ -121,18 +122,26 @@ def stop(space: LocalSpace, start: Array, body: Body, limits: Limits) -> Corrido
         blocked = np.flatnonzero(space.clearances(ahead) < body.radius_m - 1e-6)
         ahead = ahead[: blocked[0]] if len(blocked) else ahead
         corridor = corridor_along(space.grid, clear, ahead, _REACH_M) if len(ahead) > 1 else None
-        if corridor is not None:
-            trajectory = corridor_trajectory(corridor, start, None, limits)
+        for part in () if corridor is None else (_level(corridor, float(start[0, 2])), corridor):
+            trajectory = corridor_trajectory(part, start, None, limits)
             if trajectory is not None:
                 return trajectory
     return braking(start, limits)
 
 
+def _level(corridor: Corridor, z_m: float) -> Corridor:
+    """Return the part of a corridor near a height."""
+    low, high = corridor.low_m.copy(), corridor.high_m.copy()
+    low[:, 2], high[:, 2] = np.maximum(low[:, 2], z_m - _LEVEL_M), np.minimum(high[:, 2], z_m + _LEVEL_M)
+    return Corridor(low, high)
+
+
 def braking(start: Array, limits: Limits) -> CorridorTrajectory:
-    """Return a trajectory from a state to rest at any place, with twice the acceleration if need be."""
-    for factor in (1.0, 2.0, 4.0):
+    """Return a trajectory from a state to rest at nearly the same height, or with twice the acceleration if need be."""
+    for factor, depth_m in ((1.0, _LEVEL_M), (2.0, _LEVEL_M), (1.0, _FAR_M), (2.0, _FAR_M), (4.0, _FAR_M)):
         harder = replace(limits, accel_m_s2=factor * limits.accel_m_s2, speed_m_s=factor * limits.speed_m_s)
-        box = Corridor((start[0] - 20.0)[None], (start[0] + 20.0)[None])
+        around = np.array([_FAR_M, _FAR_M, depth_m])
+        box = Corridor((start[0] - around)[None], (start[0] + around)[None])
         trajectory = corridor_trajectory(box, start, None, harder)
         if trajectory is not None:
             return trajectory
