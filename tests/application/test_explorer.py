@@ -197,6 +197,38 @@ def test_stop_ends_before_the_obstacle_ahead() -> None:
     np.testing.assert_allclose(trajectory.state(trajectory.duration_s)[1:], 0.0, atol=1e-6)
 
 
+def test_stop_of_a_descending_vehicle_is_nearly_level() -> None:
+    """With a velocity and an acceleration downward, it must not sink by half a metre."""
+    grid = grid_of((slice(1, 59), slice(1, 39), slice(1, 19)))
+    start = np.array([[1.5, 2.0, 1.0], [1.8, 0.0, -0.3], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0]])
+    space = LocalSpace.of(grid, BODY, start[0])
+    for trajectory in (stop(space, start, BODY, LIMITS), braking(start, LIMITS)):
+        heights = trajectory.path(np.linspace(0.0, trajectory.duration_s, 100))[:, 2]
+        assert np.abs(heights - 1.0).max() <= 0.15 + 1e-6
+        np.testing.assert_allclose(trajectory.state(trajectory.duration_s)[1:], 0.0, atol=1e-6)
+
+
+def test_heights_bound_the_space_but_for_where_the_vehicle_is() -> None:
+    grid, heights_m = grid_of((slice(1, 59), slice(1, 39), slice(1, 19))), np.array([0.8, 1.2])
+    at = np.array([[2.0, 2.0, z] for z in (0.65, 0.75, 0.85, 1.15, 1.25, 1.35)])
+    clear = LocalSpace.of(grid, BODY, np.array([1.0, 2.0, 1.0]), heights_m).clearances(at) > 0.0
+    assert clear.tolist() == [False, False, True, True, False, False]
+    below = LocalSpace.of(grid, BODY, np.array([1.0, 2.0, 0.66]), heights_m).clearances(at) > 0.0
+    assert below.tolist() == [True, True, True, True, False, False]
+
+
+@pytest.mark.parametrize("z", [0.3, 1.0, 2.4])
+def test_a_path_from_outside_the_heights_leads_to_them_first(z: float) -> None:
+    grid = grid_of((slice(1, 59), slice(1, 39), slice(1, 29)))
+    start, goal = np.array([1.0, 2.0, z]), np.array([4.0, 2.0, 1.0])
+    found = path_to_goal(grid, start, goal, BODY, (0.8, 1.5), np.zeros((0, 3)))
+    assert isinstance(found, Route)
+    np.testing.assert_array_equal(found.waypoints[0], start)
+    np.testing.assert_allclose(found.waypoints[-1], goal, atol=0.06)
+    rest = found.waypoints[1:] if z != 1.0 else found.waypoints
+    assert np.all((rest[:, 2] > 0.8 - 1e-6) & (rest[:, 2] < 1.5 + 1e-6))
+
+
 def test_a_place_beside_is_clear_and_aside() -> None:
     grid = grid_of((slice(1, 59), slice(1, 39), slice(1, 19)))
     grid.states[:, 24:] = OCCUPIED

@@ -51,8 +51,9 @@ class LocalSpace:
         distance = DistanceField(grid.low_m, grid.cell_m, np.minimum(to_surfaces, to_unseen), grid.frame)
         if heights_m is not None:
             z = grid.low_m[2] + grid.cell_m * (np.arange(grid.states.shape[2]) + 0.5)
-            least, most = np.minimum(heights_m[0], position[2]), np.maximum(heights_m[1], position[2])
-            distance.distance_m[..., (z < least - 0.5 * grid.cell_m) | (z > most + 0.5 * grid.cell_m)] = 0.0
+            half_m = 0.5 * grid.cell_m
+            least, most = min(heights_m[0], position[2] - half_m), max(heights_m[1], position[2] + half_m)
+            distance.distance_m[..., (z < least - 1e-6) | (z > most + 1e-6)] = 0.0
         states = np.where((grid.states == UNKNOWN) & ~unseen, np.uint8(FREE), grid.states)
         return cls(replace(grid, states=states), distance)
 
