@@ -186,6 +186,27 @@ def test_trajectory_goes_as_far_as_is_known_and_stays_clear() -> None:
     )
 
 
+@pytest.mark.parametrize("speed_m_s", [0.0, 0.5])
+def test_from_a_narrow_place_the_way_leads_back_to_room(speed_m_s: float) -> None:
+    """At 0.25 m from a wall at x = 1 m, the body has less room than 0.45 m; only at rest, it moves back."""
+    grid = grid_of((slice(1, 59), slice(1, 39), slice(1, 19)))
+    grid.states[:10] = OCCUPIED
+    start = np.vstack([[1.2, 2.0, 1.0], [0.0, speed_m_s, 0.0], np.zeros((2, 3))])
+    space = LocalSpace.of(grid, BODY, start[0])
+    trajectory = trajectory_along(space, np.linspace(start[0], [4.0, 2.0, 1.0], 29), start, BODY, LIMITS)
+    if speed_m_s:
+        assert trajectory is None
+        return
+    assert trajectory is not None
+    points = trajectory.path(np.linspace(0.0, trajectory.duration_s, 50))
+    assert np.all(np.diff(space.clearances(points)) >= -1e-6)
+    assert BODY.radius_m <= space.clearances(points[-1:])[0] < BODY.radius_m + 0.15
+    # Behind what is not known to be free, there is no way back.
+    grid.states[13:16] = UNKNOWN
+    shut = LocalSpace.of(grid, BODY, start[0])
+    assert trajectory_along(shut, np.linspace(start[0], [4.0, 2.0, 1.0], 29), start, BODY, LIMITS) is None
+
+
 def test_stop_ends_before_the_obstacle_ahead() -> None:
     grid = grid_of((slice(1, 59), slice(1, 39), slice(1, 19)))
     grid.states[32:] = OCCUPIED

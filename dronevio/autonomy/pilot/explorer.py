@@ -293,7 +293,9 @@ class Explorer:
             return
         # Without a new trajectory: fly on if the last one is still free, otherwise stop.
         rest = m.from_world(self._course.positions_from(m.begins_ns)[:: max(_CHECK_NS // self._course.interval_ns, 1)])
-        if m.speed_m_s > 0.5 * _STILL_M_S and np.any(space.clearances(rest) < m.body.radius_m - space.grid.cell_m):
+        room_m = space.clearances(rest)
+        least_m = min(m.body.radius_m, float(room_m[0])) - space.grid.cell_m
+        if m.speed_m_s > 0.5 * _STILL_M_S and np.any(room_m < least_m):
             self._say("the trajectory is blocked: stop")
             self._follow(m, stop(space, m.start, m.body, c.limits), turn)
         elif m.speed_m_s < _STILL_M_S:

@@ -16,6 +16,7 @@ from dronevio.autonomy.planning.lattice_search import shortest_path
 from dronevio.autonomy.planning.route import NoRoute, route
 from dronevio.autonomy.planning.trajectory import CorridorTrajectory, corridor_trajectory
 from dronevio.models.arrays import Array, Mask
+from dronevio.models.occupancy import FREE
 from dronevio.sim.paths.limits import Limits
 
 _REACH_M = 2.0  # of the boxes of a corridor
@@ -24,6 +25,9 @@ _SPARE_M = (0.2, 0.1, 0.0)  # clearance of the route beyond that of the corridor
 _ASIDE_M = (0.3, 1.0)  # distance of places from which a path is looked at again
 _STILL_M_S = 0.1  # up to which a trajectory is sought in every corridor, however long that takes
 _LEVEL_M, _FAR_M = 0.15, 20.0  # half the sides of boxes in which the vehicle brakes
+_BACK_LEAST_M, _BACK_M = 0.2, 1.0  # length of a way back to more room
+_BACK_M_S, _BACK_BESIDE_M = 0.5, 0.05  # speed on it, and half its width
+_BACK_TRIES, _BACK_SAMPLES = 200, 21
 _MAX_EXPANSIONS = 100_000
 _NEIGHBOURS = np.ones((3, 3, 3), np.bool_)
 
@@ -51,7 +55,8 @@ def trajectory_along(
         limits: Limits of the motion.
 
     Returns:
-        The trajectory; None if no point can be reached, or no trajectory was found.
+        The trajectory; None if no point can be reached, or no trajectory was found. From a place at rest where the body
+        has less room than it should, it leads back to where it has.
     """
     clear = space.is_clear(body.radius_m)
     parts, _ = ndimage.label(clear, _NEIGHBOURS)
@@ -62,7 +67,7 @@ def trajectory_along(
     inside = np.all((cells >= 0) & (cells < clear.shape), axis=1)
     own = parts[tuple(here.T)]
     if not own:
-        return None
+        return _back_to_room(space, clear, start, limits)
     reachable = np.zeros(len(path), np.bool_)
     reachable[inside] = parts[tuple(cells[inside].T)] == own
     if not reachable.any():
@@ -75,6 +80,26 @@ def trajectory_along(
             return trajectory
         if corridor is not None and np.linalg.norm(start[1]) > _STILL_M_S:
             return None  # what was decided before is flown on
+    return None
+
+
+def _back_to_room(space: LocalSpace, clear: Mask, start: Array, limits: Limits) -> CorridorTrajectory | None:
+    """Return a slow trajectory along a straight line to a clear cell nearby, on which the room does not shrink."""
+    if np.linalg.norm(start[1]) > _STILL_M_S:
+        return None
+    cells = np.argwhere(clear)
+    centres = space.grid.centres(cells)
+    apart_m = np.linalg.norm(centres - start[0], axis=1)
+    share = np.linspace(0.0, 1.0, _BACK_SAMPLES)[:, None]
+    near = np.flatnonzero((apart_m >= _BACK_LEAST_M) & (apart_m <= _BACK_M))
+    for index in near[np.argsort(apart_m[near], kind="stable")][:_BACK_TRIES]:
+        line = start[0] + share * (centres[index] - start[0])
+        room_m = space.clearances(line)
+        is_free = space.grid.at(line) == FREE
+        if np.all(np.diff(room_m) >= -space.grid.cell_m) and np.all(is_free[share[:, 0] > 0.3]):
+            low, high = line.min(axis=0) - _BACK_BESIDE_M, line.max(axis=0) + _BACK_BESIDE_M
+            slow = replace(limits, speed_m_s=min(limits.speed_m_s, _BACK_M_S))
+            return corridor_trajectory(Corridor(low[None], high[None]), start, centres[index], slow)
     return None
 
 
