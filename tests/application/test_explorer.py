@@ -21,6 +21,7 @@ from dronevio.autonomy.planning.landing import landing_place
 from dronevio.autonomy.planning.local_plan import (
     at_rest,
     braking,
+    place_above,
     place_beside,
     sampled,
     slowed,
@@ -248,6 +249,20 @@ def test_a_path_from_outside_the_heights_leads_to_them_first(z: float) -> None:
     np.testing.assert_allclose(found.waypoints[-1], goal, atol=0.06)
     rest = found.waypoints[1:] if z != 1.0 else found.waypoints
     assert np.all((rest[:, 2] > 0.8 - 1e-6) & (rest[:, 2] < 1.5 + 1e-6))
+
+
+def test_a_place_above_or_below_is_in_reach() -> None:
+    """Free from z = 0.1 to 1.9 m; with a bound at 1.3 m, below is farther; in a flat gap, the place is beside."""
+    grid, position, ahead = grid_of((slice(1, 59), slice(1, 39), slice(1, 19))), np.array([2.0, 2.0, 1.0]), np.ones(3)
+    above = place_above(LocalSpace.of(grid, BODY, position), position, ahead, BODY)
+    assert above is not None and above[:2].tolist() == [2.0, 2.0] and 0.25 <= abs(above[2] - 1.0) <= 0.5
+    bounded = LocalSpace.of(grid, BODY, position, np.array([0.5, 1.2]))
+    below = place_above(bounded, position, ahead, BODY)
+    assert below is not None and below[2] < 0.7
+    flat = LocalSpace.of(grid, BODY, position, np.array([0.9, 1.1]))
+    beside, expected = place_above(flat, position, ahead, BODY), place_beside(flat, position, ahead, BODY)
+    assert beside is not None and expected is not None
+    np.testing.assert_array_equal(beside, expected)
 
 
 def test_a_place_beside_is_clear_and_aside() -> None:

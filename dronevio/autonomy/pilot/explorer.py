@@ -27,6 +27,7 @@ from dronevio.autonomy.planning.landing import landing_place
 from dronevio.autonomy.planning.local_plan import (
     at_rest,
     braking,
+    place_above,
     place_beside,
     sampled,
     slowed,
@@ -298,7 +299,7 @@ class Explorer:
         if m.speed_m_s > 0.5 * _STILL_M_S and np.any(room_m < least_m):
             self._say("the trajectory is blocked: stop")
             self._follow(m, stop(space, m.start, m.body, c.limits), turn)
-        elif m.speed_m_s < _STILL_M_S:
+        elif m.speed_m_s < _STILL_M_S and m.now_ns > self._peeking_until_ns:
             self._say("look")
             self._follow(m, self._halt(m, space), turn)
             if m.now_ns - self._progress_ns > _STUCK_NS:

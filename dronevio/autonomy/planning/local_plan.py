@@ -22,7 +22,7 @@ from dronevio.sim.paths.limits import Limits
 _REACH_M = 2.0  # of the boxes of a corridor
 _STEP_M = 0.1  # between samples of a path
 _SPARE_M = (0.2, 0.1, 0.0)  # clearance of the route beyond that of the corridor, tried in turn
-_ASIDE_M = (0.3, 1.0)  # distance of places from which a path is looked at again
+_ASIDE_M, _UPRIGHT_M = (0.3, 1.0), (0.25, 0.5)  # distance of places from which a path is looked at again
 _STILL_M_S = 0.1  # up to which a trajectory is sought in every corridor, however long that takes
 _LEVEL_M, _FAR_M = 0.15, 20.0  # half the sides of boxes in which the vehicle brakes
 _BACK_LEAST_M, _BACK_M = 0.2, 1.0  # length of a way back to more room
@@ -120,22 +120,45 @@ def _ways(space: LocalSpace, clear: Mask, start: Array, target: Array, body: Bod
 
 def place_beside(space: LocalSpace, position: Array, ahead: Array, body: Body) -> Array | None:
     """Return the reachable place (3,) near a position from which what is ahead (3,) is seen from most aside, if any."""
-    clear = space.is_clear(body.radius_m)
-    parts, _ = ndimage.label(clear, _NEIGHBOURS)
-    here = space.grid.cells(position)
-    if not np.all((here >= 0) & (here < clear.shape)) or not parts[tuple(here)]:
+    reached = _reached(space, position, body)
+    if reached is None:
         return None
-    level = space.grid.centres(np.argwhere(parts[..., here[2]] == parts[tuple(here)]) @ np.eye(2, 3, dtype=np.int64))
-    offsets = level[:, :2] - position[:2]
+    level = int(space.grid.cells(position)[2])
+    places = space.grid.centres(np.argwhere(reached[..., level]) @ np.eye(2, 3, dtype=np.int64))
+    offsets = places[:, :2] - position[:2]
     apart = np.linalg.norm(offsets, axis=1)
     direction = ahead[:2] - position[:2]
     direction = direction / max(float(np.linalg.norm(direction)), 1e-6)
     aside = np.abs(offsets @ [-direction[1], direction[0]])
     aside[(apart > _ASIDE_M[1]) | (apart < _ASIDE_M[0])] = 0.0
-    best = int(np.argmax(aside + 1e-3 * apart)) if len(aside) else 0
-    if not len(aside) or aside[best] < 0.5 * _ASIDE_M[0]:
+    best = int(np.argmax(aside + 1e-3 * apart))
+    if aside[best] < 0.5 * _ASIDE_M[0]:
         return None
-    return np.append(level[best, :2], position[2])
+    return np.append(places[best, :2], position[2])
+
+
+def place_above(space: LocalSpace, position: Array, ahead: Array, body: Body) -> Array | None:
+    """Return the farthest reachable place (3,) within half a metre above or below a position; one beside without any."""
+    reached = _reached(space, position, body)
+    if reached is None:
+        return None
+    here = space.grid.cells(position)
+    z = space.grid.centres(here + np.arange(reached.shape[2])[:, None] * [0, 0, 1] - [0, 0, here[2]])[:, 2]
+    far = np.abs(z - position[2])
+    far[~reached[here[0], here[1]] | (far > _UPRIGHT_M[1])] = 0.0
+    best = int(np.argmax(far))
+    if far[best] < _UPRIGHT_M[0]:
+        return place_beside(space, position, ahead, body)
+    return np.append(position[:2], z[best])
+
+
+def _reached(space: LocalSpace, position: Array, body: Body) -> Mask | None:
+    """Return the cells that a body reaches from a position; None if it has no room there."""
+    parts, _ = ndimage.label(space.is_clear(body.radius_m), _NEIGHBOURS)
+    here = space.grid.cells(position)
+    if not np.all((here >= 0) & (here < parts.shape)) or not parts[tuple(here)]:
+        return None
+    return np.asarray(parts == parts[tuple(here)])
 
 
 def stop(space: LocalSpace, start: Array, body: Body, limits: Limits) -> CorridorTrajectory:
