@@ -314,11 +314,9 @@ class Explorer:
 
         A task that has other targets takes the next one.
         """
-        place = (
-            None
-            if self._peeks == _PEEKS or self._task.has_others
-            else place_beside(space, m.position_m, ahead[-1], m.body)
-        )
+        is_last = self._peeks == _PEEKS or self._task.has_others
+        find = place_above if self._peeks == 1 else place_beside
+        place = None if is_last else find(space, m.position_m, ahead[-1], m.body)
         there = None if place is None else trajectory_along(space, place[None], m.start, m.body, self._settings.limits)
         if there is None:
             if self._route.give_up(m, self._settings.body, ahead) and not self._task.has_others:

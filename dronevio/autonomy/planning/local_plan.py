@@ -138,7 +138,7 @@ def place_beside(space: LocalSpace, position: Array, ahead: Array, body: Body) -
 
 
 def place_above(space: LocalSpace, position: Array, ahead: Array, body: Body) -> Array | None:
-    """Return the farthest reachable place (3,) within half a metre above or below a position; one beside without any."""
+    """Return the farthest reachable place (3,) within half a metre above or below a position; else one beside."""
     reached = _reached(space, position, body)
     if reached is None:
         return None
