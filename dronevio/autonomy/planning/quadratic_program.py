@@ -57,7 +57,7 @@ def _interior_point(hessian: Array, gradient: Array, rows: Array, low: Array, to
             return np.asarray(x)
         if dual.max() > _CONTRADICTION:
             return None
-        system = hessian + np.einsum("mi,dm,mj->dij", rows, dual / slack, rows, optimize=True)
+        system = hessian + rows.T @ ((dual / slack)[..., None] * rows)
         centring = -slack * dual
         for corrector in (False, True):
             right = (centring - dual * short) / slack @ rows - unstationary

@@ -13,6 +13,7 @@ safe trajectory generation for quadrotors using fast marching method and Bernste
 """
 
 from dataclasses import dataclass
+from functools import cache
 from math import comb
 
 import numpy as np
@@ -165,7 +166,7 @@ def _minimum_snap(legs: Array, start: Array, goal: Array | None, low: Array, hig
     piece = np.arange(count)
     maps[piece, :_ORDERS, piece] = _ends(legs / unit)
     maps[piece, _ORDERS:, piece + 1] = _ends(-legs / unit)[:, ::-1]
-    snap = np.einsum("dk,skni->sdni", _SNAP, maps) * ((legs / unit) ** -3.5)[:, None, None, None]
+    snap = _SNAP @ maps.reshape(count, 8, -1) * ((legs / unit) ** -3.5)[:, None, None]
     states = np.zeros((count + 1, _ORDERS, 3))
     states[0] = start * unit ** np.arange(_ORDERS)[:, None]
     is_free = np.ones((count + 1, _ORDERS), dtype=bool)
@@ -199,10 +200,11 @@ def _limit_ratios(points: Array, legs: Array, limits: Limits) -> Array:
     motions = []
     for order in range(1, _ORDERS):
         points = np.diff(points, axis=1) * ((8 - order) / legs)[:, None, None]
-        motions.append(np.einsum("nk,ski->nsi", _bernstein(7 - order), points))
+        motions.append(np.moveaxis(_bernstein(7 - order) @ points, 1, 0))
     return np.asarray(limits.limit_ratio(*motions).max(axis=0))
 
 
+@cache
 def _bernstein(degree: int) -> Array:
     """Return the Bernstein polynomials (_SAMPLES, degree + 1) at evenly spaced times."""
     t, k = np.linspace(0.0, 1.0, _SAMPLES)[:, None], np.arange(degree + 1)
