@@ -150,10 +150,10 @@ def test_margins_are_kept_from_surfaces_and_the_bare_body_from_the_unknown() -> 
 
 
 @pytest.mark.parametrize(
-    ("thickness", "at_m", "passes"), [(1, 1.0, True), (2, 1.0, True), (3, 1.0, False), (1, 2.5, True), (2, 2.5, False)]
+    ("thickness", "at_m", "passes"), [(1, 1.0, True), (4, 1.0, True), (5, 1.0, False), (1, 2.5, True), (2, 2.5, False)]
 )
 def test_thin_unknown_gaps_are_passed(thickness: int, at_m: float, passes: bool) -> None:
-    """The gap begins at x = 3 m: it may have two cells if the vehicle is farther than 1.5 m from it, otherwise one."""
+    """The gap begins at x = 3 m: it may have four cells if the vehicle is farther than 1.9 m from it, otherwise one."""
     grid = grid_of((slice(1, 59), slice(1, 39), slice(1, 19)))
     grid.states[30 : 30 + thickness] = UNKNOWN
     space = LocalSpace.of(grid, BODY, np.array([at_m, 2.0, 1.0]))

@@ -8,8 +8,9 @@ from dronevio.autonomy.planning.body import Body, body_distance
 from dronevio.models.arrays import Array, Mask
 from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, DistanceField, OccupancyGrid
 
-NEAR_M = 1.5
-"""Distance along each axis within which the vehicle sees what is 4 cm wide, and from which it can stop [m]."""
+NEAR_M = 1.9
+"""Distance along each axis within which the vehicle sees what is 4 cm wide, and from which its front can stop: at 2 m/s
+and 3 m/s², with 0.2 s until the next plan and as long until it is flown, after 1.5 m [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,7 +18,7 @@ class LocalSpace:
     """Where the centre of the vehicle may be, by the local map.
 
     The body keeps its margin from surfaces, whose places have errors. It does not enter unknown space, but for gaps in
-    free space that are one cell thick, and beyond `NEAR_M` two cells: along edges in the image, the depth is unknown
+    free space that are one cell thick, and beyond `NEAR_M` four cells: along edges in the image, the depth is unknown
     until they are seen from another side, and what such a gap may hide is seen from `NEAR_M` away.
     """
 
@@ -37,7 +38,7 @@ class LocalSpace:
             heights_m: (2,) Least and greatest z that it may have, but for where it is; None for any [m].
         """
         unknown = grid.states == UNKNOWN
-        unseen = _thick(unknown, 3)
+        unseen = _thick(unknown, 5)
         reach = round(NEAR_M / grid.cell_m)
         low, high = (np.clip(grid.cells(position) + end, 0, grid.states.shape) for end in (-reach, reach + 1))
         near = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
