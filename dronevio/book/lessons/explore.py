@@ -605,15 +605,15 @@ plt.show()
 
 # %% [markdown]
 # At the start, the shortest path leads around the end of the wall that is in
-# sight, and straight on to the goal: the rest of the wall has not been seen. It
-# gives way as the wall becomes longer, until the drone sees the door. Then the
-# plan ends in the door, and a second later beyond it. The cabinet enters the
-# map before the drone reaches it, and the path bends around it. What the drone
-# has never needed to see, it still does not know.
+# sight, and straight on to the goal: the long side of the wall has not been
+# seen. The path moves along it as more of it becomes known, until it leads
+# through the door. The cabinet enters the map before the drone comes near, and
+# the path bends around it. What the drone has never needed to see is still
+# grey.
 #
-# The way is longer than the shortest one in a known office. That is the price
-# of not knowing. Koenig, Tovey and Smirnov bound it: in the worst of all mazes
-# it is large, in offices it is small.
+# The drone has flown a tenth farther than the shortest path in a known office.
+# That is the price of not knowing: small here, and large in a maze that is made
+# to mislead, for which Koenig, Tovey and Smirnov bound it.
 #
 # This ends the chapter: seeing, estimating, mapping, planning and flying, in
 # one loop. `dronevio explore` does it with images, and writes a report.
