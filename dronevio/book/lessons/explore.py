@@ -187,8 +187,7 @@ for name, state in (("free", FREE), ("occupied", OCCUPIED)):
 # that it covers see past it, by 1.5 standard deviations, so that a chair leg
 # between two rays does not get lost
 # (`dronevio.estimator.mapping.evidence.evidence`).
-# `dronevio.estimator.mapping.dense_mapper.DenseMapper` has gathered this
-# evidence on the way.
+# `dronevio.estimator.mapping.DenseMapper` has gathered this evidence on the way.
 
 # %%
 known = mapper.fused()
