@@ -52,6 +52,7 @@ pictures: setup
 	.venv/bin/python tools/seeds.py --write --keep build/pictures
 	.venv/bin/python tools/dense_picture.py
 	.venv/bin/python tools/map_picture.py
+	.venv/bin/python tools/explore_picture.py
 	.venv/bin/python tools/environment_pictures.py
 	.venv/bin/python tools/pictures.py --run build/pictures/0
 

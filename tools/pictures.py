@@ -22,6 +22,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import tyro
+from environment_pictures import record_hashes
 from matplotlib.figure import Figure
 from rerun.experimental import ViewerClient
 from seeds import accuracy
@@ -55,14 +56,15 @@ RECORDING_S = 17.0  # time of the flight that is shown
 TAKE_OFF_S = 3.1
 TAKE_OFF_PX = (960, 600)
 ROOM_PX, ROOM_SHARE = 1504, 2 / 3  # the two upper rows of the contact sheet
-WORLDS_PX = 1240
+WORLDS_PX, WORLDS_QUALITY = 1240, 84
+WORLDS_SHOWN = tuple(name for name in WORLDS if not name.startswith("office-"))  # whose variants look alike
 ESTIMATOR_S = 12.0  # time of the flight that is shown
 VIEWER_TIMEOUT_S = 60.0
 
 
-def save(name: str, picture: Picture) -> None:
+def save(name: str, picture: Picture, quality: int = 88) -> None:
     """Write a picture (H, W, 3) RGB as JPEG without chroma subsampling, which would blur text."""
-    sharp = [cv2.IMWRITE_JPEG_QUALITY, 88, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    sharp = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
     path = IMAGES / name
     cv2.imwrite(str(path), picture[..., ::-1], sharp)
     print(f"{name}: {picture.shape[1]} × {picture.shape[0]} px, {path.stat().st_size * 1e-3:.0f} kB")
@@ -196,6 +198,12 @@ def draw_estimator(flight: Path, picture: Path) -> None:
     figure.savefig(picture, dpi=90)
 
 
+def save_worlds() -> None:
+    """Save the picture of the worlds, each from three viewpoints."""
+    sheet = sheet_of_worlds(WORLDS_SHOWN, pictures_of_worlds(WORLDS_SHOWN, 0, VIEWS_EACH, LENS))
+    save("worlds.jpg", resized(sheet, WORLDS_PX), WORLDS_QUALITY)
+
+
 def make_pictures(scratch: Path, shown: Path | None) -> None:
     """Run the commands, save all pictures, and record what they show.
 
@@ -220,8 +228,7 @@ def make_pictures(scratch: Path, shown: Path | None) -> None:
     sheet = contact_sheet(views(build_world("room", 0), VIEWS))
     rows = sheet[: int(ROOM_SHARE * len(sheet))]
     save("room.jpg", resized(rows, ROOM_PX))
-    names = tuple(WORLDS)
-    save("worlds.jpg", resized(sheet_of_worlds(names, pictures_of_worlds(names, 0, VIEWS_EACH, LENS)), WORLDS_PX))
+    save_worlds()
     flight = scratch / "medium"
     main(["fly", "--scenario", "room-medium", "--rig", "euroc-stereo", "--out", str(flight)])
     draw_estimator(flight, scratch / "estimator.png")
@@ -255,9 +262,15 @@ class PicturesCommand:
 
     run: Path | None = None
     """Folder of the run to show; by default the default scenario is run."""
+    worlds: bool = False
+    """Make only the picture of the worlds, which needs neither browser nor viewer."""
 
 
 if __name__ == "__main__":
     given = tyro.cli(PicturesCommand, description=__doc__)
+    if given.worlds:
+        save_worlds()
+        record_hashes()
+        sys.exit()
     with tempfile.TemporaryDirectory(prefix="dronevio-") as folder:
         make_pictures(Path(folder), given.run)

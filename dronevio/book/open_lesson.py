@@ -23,6 +23,7 @@ LESSONS = {
     "dense": "multi-view stereo: plane sweep, semi-global matching, consistency, fusion, mesh (section 7.4.2)",
     "odometry": "visual-inertial odometry: each part of the estimator on five frames of a flight (section 7.4.3)",
     "slam": "visual SLAM: one loop by hand, from the first similar image to the corrected pose graph (section 7.4.3)",
+    "explore": "exploration: depth image, map, path and trajectory, up to a flight through a door (section 7.4.3)",
 }
 """The lessons with their summaries, in the order in which they are read."""
 

@@ -167,3 +167,18 @@ def test_pictures_are_those_of_the_table() -> None:
     images = {path.name: path for path in (CHECKOUT / "docs" / "images").glob("*.jpg")}
     hashes = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in images.items()}
     assert hashes == recorded["pictures"]
+
+
+@pytest.mark.skipif(not (CHECKOUT / "docs").is_dir(), reason="not a checkout")
+@pytest.mark.parametrize("page", ["README.md", "docs/explore.md"])
+def test_captions_of_the_exploration_are_those_of_its_flight(page: str) -> None:
+    """The paragraph below the moving picture has the figures of the flight that it shows."""
+    picture = CHECKOUT / "docs" / "images" / "explore.gif"
+    recorded = json.loads(picture.with_suffix(".json").read_text(encoding="utf-8"))
+    assert hashlib.sha256(picture.read_bytes()).hexdigest() == recorded["sha256"]
+    assert picture.stat().st_size < 4_000_000
+    figures = recorded["figures"]
+    assert figures["outcome"] == "reached" and not figures["collided"]
+    caption = " ".join(PAGES[page].partition("images/explore.gif)\n\n")[2].partition("\n\n")[0].split())
+    assert f"flew {figures['path_m']:.1f} m, where the shortest path is {figures['shortest_m']:.1f} m" in caption
+    assert f"in {figures['time_s']:.1f} s" in caption and f"the ATE is {1e3 * figures['ate_m']:.1f} mm" in caption
