@@ -36,7 +36,7 @@ GROUPS: tuple[tuple[type, str, OptionTable, int], ...] = (
     (SfmCommand, "sfm", SFM, 10),
     (DenseCommand, "dense", DENSE, 10),
     (MapCommand, "dense", DENSE_MAP, 3),
-    (ExploreCommand, "pilot", EXPLORE, 5),
+    (ExploreCommand, "pilot", EXPLORE, 6),
 )
 """Command and field of each group of settings with a table of options, and the largest number of options."""
 NEEDED = {EstimateCommand: "recording", SfmCommand: "images", DenseCommand: "scene", MapCommand: "recording"}

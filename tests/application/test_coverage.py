@@ -98,7 +98,8 @@ def test_a_view_is_kept_until_it_is_left_and_does_not_return(strategy: Strategy)
         first = task.target(moment(grid), grid, HEIGHTS_M)
         assert first is not None and first.yaw_map_rad is not None
         again = task.target(moment(grid, START + [0.2, 0.0, 0.0]), grid, HEIGHTS_M)
-        assert again is not None and np.linalg.norm(again.position_map_m - first.position_map_m) < 1.0
+        assert again is not None and again.yaw_map_rad is not None
+        assert np.linalg.norm(again.position_map_m - first.position_map_m) < 1.0
         pose = np.append(again.position_map_m, again.yaw_map_rad)
         assert all(np.linalg.norm(pose[:3] - p[:3]) >= 0.6 or abs(pose[3] - p[3]) > 0.5 for p in seen)
         seen.append(pose)

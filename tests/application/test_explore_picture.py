@@ -91,7 +91,7 @@ def test_the_colours_of_lines_are_in_the_palette(script: Any, drawing: Any, tmp_
     tool = script("explore_picture")
     tool.write_gif(tmp_path / "moving.gif", [drawing.picture(moment(script, t)) for t in (0, 2_000_000_000)])
     with Image.open(tmp_path / "moving.gif") as image:
-        assert image.n_frames == 2
+        assert getattr(image, "n_frames", 1) == 2
         assert image.info["duration"] == tool.SHOWN_MS
         image.seek(1)
         shown = np.asarray(image.convert("RGB"))

@@ -402,8 +402,9 @@ def test_arguments_are_checked() -> None:
 def in_room() -> Flight:
     found = explore("room", (2.0, -1.5, 1.2), without_images=RaySensing(), longest_s=40.0)
     assert found.scores.outcome == "reached" and not found.scores.collided
-    assert found.scores.distance_to_goal_m < 0.4 and found.scores.ate_m is not None
-    assert found.scores.path_m < 1.3 * found.scores.shortest_m
+    scores = found.scores
+    assert scores.distance_to_goal_m is not None and scores.shortest_m is not None and scores.ate_m is not None
+    assert scores.distance_to_goal_m < 0.4 and scores.path_m < 1.3 * scores.shortest_m
     return found.flight
 
 

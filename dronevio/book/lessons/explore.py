@@ -272,7 +272,8 @@ UNKNOWN_IS_FREE = True
 
 def a_star(passable, start, goal):
     """Return the cells (N, 2) of the shortest path; None without one."""
-    queue, cost, before = [(0.0, start)], {start: 0.0}, {}
+    queue, cost = [(0.0, start)], {start: 0.0}
+    before: dict[tuple[int, int], tuple[int, int]] = {}
     while queue:
         _, cell = heapq.heappop(queue)
         if cell == goal:
@@ -326,6 +327,7 @@ from dronevio.autonomy.planning.route import Route
 body = Body(radius_m=RADIUS_M)
 path = path_to_goal(known, HERE, GOAL, body, (0.5, 2.0), np.zeros((0, 3)))
 assert isinstance(path, Route), "there is no path to the goal"
+waypoints = path.waypoints
 print(f"path_to_goal {path.length_m:.2f} m, {path.expansions} cells expanded")
 assert path.length_m < by_hand_m, "the shortcuts make the path longer"
 
@@ -339,7 +341,7 @@ def through_door(waypoints):
     return -5.5 < crossing < -4.3
 
 
-assert through_door(path.waypoints), "the path does not lead through the door"
+assert through_door(waypoints), "the path does not lead through the door"
 
 # %% [markdown]
 # ## 4. A trajectory inside free boxes
@@ -415,7 +417,7 @@ KNOWN_SPACE_ONLY = True
 def plan(grid):
     """Return corridor and trajectory along the path as far as a grid allows."""
     space = LocalSpace.of(grid, body, HERE)
-    ahead = sampled(path.waypoints, HERE)
+    ahead = sampled(waypoints, HERE)
     is_clear = space.is_clear(body.radius_m)
     has_room = space.clearances(ahead) >= body.radius_m
     end = ahead[-1] if has_room.all() else ahead[np.argmin(has_room) - 1]
@@ -471,7 +473,7 @@ figure, (ax, over_time) = plt.subplots(
     1, 2, figsize=(9, 3.9), width_ratios=(1.2, 1), layout="constrained"
 )
 draw_states(ax, states, cells.low_m, cells.high_m)
-ax.plot(*path.waypoints[:, :2].T, "--", color=PATH, label="path")
+ax.plot(*waypoints[:, :2].T, "--", color=PATH, label="path")
 for low, high in zip(corridor.low_m, corridor.high_m, strict=True):
     ax.add_patch(
         Rectangle(low[:2], *(high - low)[:2], fc=SEEN, alpha=0.12, ec="none")
@@ -526,7 +528,7 @@ plt.show()
 # %%
 DRIFT_M = 0.004  # after one metre
 
-moments = []
+moments: list[tuple[int, OccupancyGrid]] = []
 
 
 def keep(depth, estimate, mapper):
@@ -544,6 +546,7 @@ flight = dv.explore(
     listeners=[keep],
 )
 scores = flight.scores
+assert scores.ate_m is not None and scores.distance_to_goal_m is not None
 print(f"{scores.outcome} after {scores.time_s:.1f} s")
 print(f"{len(flight.plans)} plans, median speed", end=" ")
 print(f"{scores.median_speed_m_s:.1f} m/s")

@@ -130,7 +130,8 @@ EXPLORE: OptionTable = MappingProxyType(
         "highest-m": "Ways lead over obstacles (increase it), or the drone has to stay low (decrease it).",
         "body.radius-m": "The vehicle is larger or smaller than the research quadrotor, or doors are narrower than a"
         " metre (decrease it, at the cost of the margin).",
-        "plan-latency-s": "The computer of the drone plans faster or more slowly than within a tenth of a second.",
+        "views": "Coverage is to be compared with that of nearest frontiers.",
+        "plan-latency-s": "The computer of the drone plans faster or more slowly than within 0.15 s.",
     }
 )
 """Options of flights through unknown worlds."""
