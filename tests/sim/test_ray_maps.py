@@ -115,7 +115,7 @@ def test_the_local_map_turns_with_the_heading() -> None:
     position = np.array([[2.0, 2.0, 1.1]])
 
     def local(yaw_rad: float) -> Array:
-        return maps.around(VehicleStates.at(position, rotation_z(np.array([yaw_rad]))))[0]
+        return np.asarray(maps.around(VehicleStates.at(position, rotation_z(np.array([yaw_rad]))))[0])
 
     ahead = local(0.0)
     assert ahead.shape == (3, 8, 8)
