@@ -270,14 +270,15 @@ class PlannerPolicy:
             length_m > _PROGRESS_M or (length_m > _LEAST_STEP_M and t_s > self._peeking_until_s)
         ):
             self._say("fly")
-            self._follow(m, trajectory, yaw)
+            if self._is_kept(m, space, trajectory):
+                self._reference = replace(self._reference, yaw_rad=yaw)
+            else:
+                self._follow(m, trajectory, yaw)
             if length_m > _PROGRESS_M:
                 self._progress_s, self._peeks = t_s, 0
             return
         # Without a new trajectory: fly on if the last one is still free, otherwise stop
-        if m.speed_m_s > 0.5 * _STILL_M_S and np.any(
-            space.clearances(self._rest(t_s)) < m.body.radius_m - space.grid.cell_m
-        ):
+        if m.speed_m_s > 0.5 * _STILL_M_S and self._is_blocked(m, space):
             self._say("the trajectory is blocked: stop")
             self._follow(m, stop(space, m.start, m.body, c.limits), yaw)
         elif m.speed_m_s < _STILL_M_S:
@@ -299,6 +300,20 @@ class PlannerPolicy:
         self._peeking_until_s = self._progress_s + there.duration_s
         self._progress_s += there.duration_s - 0.5 * _STUCK_S
         self._follow(m, there, yaw)
+
+    def _is_kept(self, m: Moment, space: LocalSpace, newer: CorridorTrajectory) -> bool:
+        """Return whether what is flown is still clear, and a newer plan leads on more slowly."""
+        assert self._reference is not None
+        flown, t_s = self._reference, m.now_ns * 1e-9
+        remaining_s = flown.begins_s + flown.trajectory.duration_s - t_s
+        further_m = np.linalg.norm(newer.control_points[-1, -1] - flown.trajectory.control_points[-1, -1])
+        is_slower = newer.duration_s > remaining_s + float(further_m) / _SLOW_M_S
+        return remaining_s > 0.0 and is_slower and not self._is_blocked(m, space)
+
+    def _is_blocked(self, m: Moment, space: LocalSpace) -> bool:
+        """Return whether the rest of what is flown leaves the space for the body."""
+        clearances = space.clearances(self._rest(m.now_ns * 1e-9))
+        return bool(np.any(clearances < m.body.radius_m - space.grid.cell_m))
 
     def _halt(self, m: Moment, space: LocalSpace) -> CorridorTrajectory:
         """Return the trajectory to rest, or at rest."""
