@@ -33,7 +33,7 @@ from dronevio.estimator.threads import single_threaded
 from dronevio.models.actions import ActionLimits
 from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
-from dronevio.models.occupancy import OccupancyGrid
+from dronevio.models.occupancy import OCCUPIED, OccupancyGrid
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import pose_matrix, yaw_rad_from_matrix
@@ -215,7 +215,7 @@ class PlannerPolicy:
         start = self._reference.state(t_s)
         if np.linalg.norm(start[0] - position) > _OFF_M:
             start = np.stack([position, velocity, np.zeros(3), np.zeros(3)])
-        grid, t_ns = self._with_start(self._map.around(start[0])), round(1e9 * t_s)
+        grid, t_ns = self._within_heights(self._with_start(self._map.around(start[0]))), round(1e9 * t_s)
         unmoved, estimate = np.eye(4), Estimate(t_ns, Health.TRACKING, None)
         return Moment(t_ns, t_ns, start, yaw, 0.0, self._settings.body, grid, unmoved, unmoved, estimate)
 
@@ -225,6 +225,14 @@ class PlannerPolicy:
         assert self._start is not None
         top_m = 2.0 * _FREE_BELOW_M + (c.take_off_m if self._takes_off else 0.0)
         return with_free_column(grid, self._start - [0.0, 0.0, _FREE_BELOW_M], c.start_radius_m, top_m)
+
+    def _within_heights(self, grid: OccupancyGrid) -> OccupancyGrid:
+        """Return a grid in which a body between the heights of paths has room only there."""
+        half_m, (least, most) = self._settings.body.half_height_m, self._heights()
+        z = grid.low_m[2] + grid.cell_m * (np.arange(grid.states.shape[2]) + 0.5)
+        states = grid.states.copy()
+        states[..., (z < least - half_m) | (z > most + half_m)] = OCCUPIED
+        return replace(grid, states=states)
 
     def _heights(self) -> Array:
         """Return the least and the greatest height (2,) of paths [m]."""
