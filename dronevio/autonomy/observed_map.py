@@ -1,4 +1,4 @@
-"""Map of an episode by the depth images that an environment observes, in a frame of which the vehicle knows its pose."""
+"""Map of an episode by the depth images that an environment observes, in a frame in which the pose is known."""
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,7 @@ from dronevio.models.rig import RigCamera
 
 LOCAL_M = np.array([8.0, 8.0, 4.0])
 """Extent of the map around the vehicle [m]."""
+_MOVED = 0.01  # change of an element of the pose, metres or sines of angles, from which images must change
 _SIGMA_M = 0.02  # of depth without noise, for its change within a pixel
 
 
@@ -34,15 +35,17 @@ class ObservedMap:
         self._cell_m, self._range_m = cell_m, range_m
         self._pinholes: dict[tuple[int, int], tuple[Pinhole, PinholeMap]] = {}
         self._cells: LogOdds | None = None
-        self._newest: Array | None = None
+        self._newest: tuple[npt.NDArray[np.floating], Array] | None = None
 
-    def is_new(self, image: npt.NDArray[np.floating]) -> bool:
-        """Return whether an image (H, W, 1) is not a repetition of the last one that entered the map."""
-        return self._newest is None or not np.array_equal(image, self._newest)
+    def is_held(self, image: npt.NDArray[np.floating], T_map_vehicle: Array) -> bool:
+        """Return whether an image (H, W, 1) repeats the last one that entered the map, though the vehicle has moved."""
+        if self._newest is None or not np.array_equal(image, self._newest[0]):
+            return False
+        return bool(np.abs(T_map_vehicle - self._newest[1]).max() > _MOVED)
 
     def add(self, image: npt.NDArray[np.floating], T_map_vehicle: Array) -> None:
         """Add a depth image (H, W, 1) [m] that was taken at a pose (4, 4) of the vehicle."""
-        self._newest = image.copy()
+        self._newest = image.copy(), T_map_vehicle
         height, width = image.shape[:2]
         if (width, height) not in self._pinholes:
             self._pinholes[width, height] = pinhole_of(self._model.resized(width, height))

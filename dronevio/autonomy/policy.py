@@ -189,8 +189,9 @@ class PlannerPolicy:
         now_s = t_s + 0.5 / self._rate_hz
         image = np.asarray(observation["depth"], np.float32)
         with single_threaded():
-            if now_s >= self._map_due_s and self._map.is_new(image):
-                self._map.add(image, pose_matrix(R, position))
+            pose = pose_matrix(R, position)
+            if now_s >= self._map_due_s and not self._map.is_held(image, pose):
+                self._map.add(image, pose)
                 self._map_due_s = t_s + 1.0 / c.map_rate_hz
             if now_s >= max(self._plan_due_s, self._departs_s):
                 self._decide(self._moment(t_s, position, velocity, yaw))
@@ -349,7 +350,7 @@ class PlannerPolicy:
         turn = c.gain_per_s * remainder(self._reference.yaw_rad - yaw, 2.0 * pi)
         rate = float(np.clip(turn, -c.limits.yaw_rate_rad_s, c.limits.yaw_rate_rad_s))
         moved = np.array([forward, left, velocity[2]]) / limits.velocity_m_s
-        return np.clip(np.append(moved, rate / limits.yaw_rate_rad_s), -1.0, 1.0).astype(np.float32)
+        return np.asarray(np.clip(np.append(moved, rate / limits.yaw_rate_rad_s), -1.0, 1.0), np.float32)
 
     def _say(self, what: str) -> None:
         """Record a decision, unless it is the last one again."""
