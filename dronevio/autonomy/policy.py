@@ -7,9 +7,9 @@ known to be free; the action follows the planned trajectory.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import atan2, hypot, pi, radians, remainder
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,6 @@ import numpy.typing as npt
 from dronevio.autonomy.observed_map import ObservedMap
 from dronevio.autonomy.pilot.map_route import MapRoute
 from dronevio.autonomy.pilot.moment import Moment
-from dronevio.autonomy.planning.body import Body
 from dronevio.autonomy.planning.known_space import LocalSpace, with_free_column
 from dronevio.autonomy.planning.local_plan import (
     at_rest,
@@ -29,16 +28,15 @@ from dronevio.autonomy.planning.local_plan import (
     trajectory_along,
 )
 from dronevio.autonomy.planning.trajectory import CorridorTrajectory
+from dronevio.autonomy.policy_settings import PlannerSettings
 from dronevio.estimator.threads import single_threaded
 from dronevio.models.actions import ActionLimits
 from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.occupancy import OCCUPIED, OccupancyGrid
-from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import pose_matrix, yaw_rad_from_matrix
 from dronevio.models.state import Estimate, Health
-from dronevio.sim.paths.limits import Limits
 
 OBSERVATIONS = ("depth", "goals", "rotation", "body_velocity")
 """Names of the observations that the policy needs."""
@@ -54,36 +52,6 @@ _PEEKS = 3
 _OFF_M = 0.4  # between vehicle and trajectory, from where on a plan begins at the vehicle
 _CLIMB_M_S = 0.6
 _FREE_BELOW_M = 0.4  # depth and height of the space around a start in the air that is free
-
-
-@dataclass(frozen=True)
-class PlannerSettings(Settings):
-    """Settings of the planner as a policy."""
-
-    body: Body = field(default_factory=Body)
-    """Space that must be known to be free around the vehicle."""
-    limits: Limits = field(default_factory=lambda: Limits(speed_m_s=1.5, accel_m_s2=2.5, yaw_rate_rad_s=1.5))
-    """Limits of the motion."""
-    cell_m: Annotated[float, Range(0.01, 1.0)] = 0.1
-    """Side of the cells of the map [m]."""
-    range_m: Annotated[float, Range(0.5, 20.0)] = 4.0
-    """Largest depth that enters the map [m]."""
-    map_rate_hz: Annotated[float, Range(0.1, 1000.0)] = 10.0
-    """Rate at which images enter the map [Hz]."""
-    plan_rate_hz: Annotated[float, Range(0.1, 1000.0)] = 5.0
-    """Rate of plans [Hz]."""
-    horizon_m: Annotated[float, Range(0.5, 100.0)] = 4.5
-    """Length of the path that is planned as a trajectory [m]."""
-    start_radius_m: Annotated[float, Range(0.0, 10.0)] = 0.6
-    """Radius around the start that is free by the description of the tasks [m]."""
-    take_off_m: Annotated[float, Range(0.3, 10.0)] = 1.2
-    """Height of the take-off from a stand [m]."""
-    below_m: Annotated[float, Range(0.0, 10.0)] = 0.5
-    """Height of the path below the lower one of start and goal [m]."""
-    above_m: Annotated[float, Range(0.0, 10.0)] = 0.8
-    """Height of the path above the higher one of start and goal [m]."""
-    gain_per_s: Annotated[float, Range(0.0, 20.0)] = 2.0
-    """Velocity per distance from the trajectory, and yaw rate per angle [1/s]."""
 
 
 @dataclass(frozen=True, eq=False)
