@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from dronevio.models.rig import Rig, RigCamera
     from dronevio.models.rig_presets import rig_named
     from dronevio.models.state import CameraFrame, Estimate, Health, NavState, Trajectory
-    from dronevio.policy_evaluation import PolicyEvaluation, evaluate_policy
+    from dronevio.policy_evaluation import PolicyEvaluation, evaluate_baseline, evaluate_policy
     from dronevio.sim.scenario import Scenario
     from dronevio.sim.scenarios import scenario_named
 
@@ -85,6 +85,7 @@ __all__ = [
     "estimate",
     "estimate_recording",
     "evaluate",
+    "evaluate_baseline",
     "evaluate_policy",
     "explore",
     "fly",
@@ -134,7 +135,7 @@ __getattr__, __dir__ = attach(
         "dronevio.models.rig": ("Rig", "RigCamera"),
         "dronevio.models.rig_presets": ("rig_named",),
         "dronevio.models.state": ("CameraFrame", "Estimate", "Health", "NavState", "Trajectory"),
-        "dronevio.policy_evaluation": ("PolicyEvaluation", "evaluate_policy"),
+        "dronevio.policy_evaluation": ("PolicyEvaluation", "evaluate_baseline", "evaluate_policy"),
         "dronevio.sim.scenario": ("Scenario",),
         "dronevio.sim.scenarios": ("scenario_named",),
     },

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from dronevio.sim.envs.tasks import AnyTask
 
 _ACTIONS_PER_S = 50
-_EPISODES_S = {"Hover": 10, "Waypoints": 15, "Track": 15, "Race": 90, "Navigate": 30}
+_EPISODES_S = {"Hover": 10, "Waypoints": 15, "Track": 15, "Race": 90, "Navigate": 30, "Explore": 60}
 _VIO_EPISODES_S = {"VioHover": ("vio-hover", 80), "VioNavigate": ("vio-navigate", 40)}
 _VIO_WIDTH, _VIO_HEIGHT, _VIO_RATE_HZ = 320, 204, 10.0
 

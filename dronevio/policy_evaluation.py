@@ -1,24 +1,42 @@
-"""Evaluation of a trained policy over many episodes of its environment."""
+"""Evaluation of policies over many episodes: trained ones of their environments, and baselines without learning."""
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 
 import dronevio.envs  # noqa: F401 registers the environments
+from dronevio.models.actions import ActionLimits
 from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.policies.policy import Policy
 from dronevio.models.progress import Progress, silent
+from dronevio.sim.envs.policies.goal_flight import fly_to_goal
+from dronevio.sim.envs.settings import EnvironmentSettings
 from dronevio.sim.envs.tasks import task_named
 
 MOST_AT_ONCE = 256
 """Largest number of environments that are stepped together."""
 TIME_LIMIT = "time limit"
 """Name of the end of an episode that is not terminated."""
+BASELINES = ("planner", "straight")
+"""Names of the policies without learning: one that maps and plans, and one that flies straight to the goal."""
+NAVIGATE = "dronevio/Navigate-v0"
+"""Id of the default environment of the baselines."""
+
+
+class Baseline(Protocol):
+    """Interface of a policy without learning, for one drone."""
+
+    def reset(self) -> None:
+        """Begin an episode."""
+
+    def action(self, observation: Mapping[str, Any]) -> npt.NDArray[np.float32]:
+        """Return the action (4,) for the next observation of the episode."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,9 +102,7 @@ def policy_envs(policy: Policy, count: int, *, environment: str = "", **settings
         ConfigError: There is no such environment, or it does not have the observations of the policy.
     """
     name = environment or policy.environment
-    if name not in gymnasium.registry:
-        known = sorted(one for one in gymnasium.registry if one.startswith("dronevio/"))
-        raise ConfigError(f"unknown environment {name!r}; expected one of {', '.join(known)}")
+    _require_registered(name)
     if gymnasium.spec(name).vector_entry_point is None:
         raise ConfigError(f"environment {name!r} without native vectors; expected one that is not flown on an estimate")
     task = settings.get("task", gymnasium.spec(name).kwargs["task"])
@@ -185,3 +201,111 @@ def _evaluated(policy: Policy, envs: Any, seed: int) -> PolicyEvaluation:
         tuple(ends.tolist()),
         getattr(settings.task, "laps", None),
     )
+
+
+def baseline_named(name: str, environment: EnvironmentSettings) -> Baseline:
+    """Return a policy without learning for environments with some settings.
+
+    Args:
+        name: One of `BASELINES`.
+        environment: Settings of the environment.
+
+    Raises:
+        ConfigError: There is no such policy, or it cannot fly in the environment.
+    """
+    if name == "planner":
+        from dronevio.autonomy.policy import PlannerPolicy
+
+        return PlannerPolicy.of(environment)
+    if name == "straight":
+        return StraightFlight.of(environment)
+    raise ConfigError(f"unknown policy {name!r}; expected a file or one of {', '.join(BASELINES)}")
+
+
+@dataclass(frozen=True)
+class StraightFlight:
+    """Straight flight to the goal, whatever is in between; implements `Baseline` by `fly_to_goal`."""
+
+    limits: ActionLimits
+    """Velocities of actions of ±1."""
+
+    @classmethod
+    def of(cls, environment: EnvironmentSettings) -> "StraightFlight":
+        """Return the policy for environments with some settings.
+
+        Raises:
+            ConfigError: The environment has other actions than velocities, or lacks an observation.
+        """
+        if environment.action != "velocity" or not {"goals", "rotation"} <= set(environment.observations):
+            raise ConfigError(
+                f"straight flight with the action mode {environment.action!r} and the observations"
+                f" {', '.join(environment.observations)}; expected 'velocity' and goals, rotation"
+            )
+        return cls(environment.action_limits)
+
+    def reset(self) -> None:
+        """Do nothing: the policy has no memory."""
+
+    def action(self, observation: Mapping[str, Any]) -> npt.NDArray[np.float32]:
+        """Return the action (4,) for an observation."""
+        return fly_to_goal(observation, self.limits)
+
+
+def evaluate_baseline(
+    name: str,
+    episodes: int = 100,
+    seed: int = 1_000_000,
+    *,
+    environment: str = NAVIGATE,
+    progress: Progress = silent,
+    **settings: Any,
+) -> PolicyEvaluation:
+    """Return the results of a policy without learning, in single environments one episode after another.
+
+    Args:
+        name: ``planner`` or ``straight``.
+        episodes: Number of episodes.
+        seed: Seed of the first episode; each further one has the next.
+        environment: Id of an environment with a goal, such as ``dronevio/VioNavigate-v0``.
+        progress: Called with the number of finished episodes.
+        settings: Further settings of the environment; see `dronevio.sim.envs.EnvironmentSettings`.
+
+    Raises:
+        ConfigError: There is no such policy or environment, or they do not fit.
+    """
+    if episodes < 1:
+        raise ConfigError(f"{episodes} episodes; expected 1 or more")
+    _require_registered(environment)
+    with gymnasium.make(environment, **settings) as env:
+        chosen: Any = env.unwrapped
+        policy = baseline_named(name, chosen.settings)
+        flown = []
+        for number in range(episodes):
+            flown.append(_flown(policy, env, seed + number))
+            progress(number + 1, episodes)
+    success, distance_m, reward, steps, ends = zip(*flown, strict=True)
+    duration_s = np.array(steps) / chosen.settings.action_rate_hz
+    laps = getattr(chosen.settings.task, "laps", None)
+    return PolicyEvaluation(
+        environment, seed, np.array(success), np.array(distance_m), np.array(reward), duration_s, ends, laps
+    )
+
+
+def _flown(policy: Baseline, env: Any, seed: int) -> tuple[bool, float, float, int, str]:
+    """Return success, distance at the end [m], reward, number of steps and end of an episode."""
+    observation, _ = env.reset(seed=seed)
+    policy.reset()
+    reward, steps, terminated, truncated = 0.0, 0, False, False
+    info: dict[str, Any] = {}
+    while not (terminated or truncated):
+        observation, gained, terminated, truncated, info = env.step(policy.action(observation))
+        reward, steps = reward + float(gained), steps + 1
+    end = str(info["termination"]) if terminated else TIME_LIMIT
+    return bool(info["success"]), float(info["distance_m"]), reward, steps, end
+
+
+def _require_registered(environment: str) -> None:
+    """Raise ConfigError if there is no environment with an id."""
+    if environment not in gymnasium.registry:
+        known = sorted(one for one in gymnasium.registry if one.startswith("dronevio/"))
+        raise ConfigError(f"unknown environment {environment!r}; expected one of {', '.join(known)}")

@@ -74,6 +74,16 @@ SCENES = {
         action=(0.5, 0.0, 0.0, 0.0),
         steps=15,
     ),
+    "Explore": Scene(
+        seed=0,
+        options={
+            "position_m": np.array([-8.5, 0.0, 1.3]),
+            "quat_wxyz": heading(0.0),
+            "velocity_m_s": np.zeros(3),
+        },
+        action=(0.5, 0.0, 0.0, 0.0),
+        steps=25,
+    ),
     "VioHover": Scene(seed=0, action=(0.0, 0.0, 0.3, 0.0), steps=75),
     "VioNavigate": Scene(seed=2, action=(0.2, 0.0, 0.4, 0.0), steps=90),
 }

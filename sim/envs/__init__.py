@@ -13,9 +13,10 @@ if TYPE_CHECKING:
     from dronevio.sim.envs.policies.mission import PolicyMission, policy_mission, policy_outcome
     from dronevio.sim.envs.policies.pilot import PolicyPilot
     from dronevio.sim.envs.sensing.estimation import Estimation
+    from dronevio.sim.envs.sensing.ray_maps import MapSettings
     from dronevio.sim.envs.settings import EnvironmentSettings
     from dronevio.sim.envs.single import DroneEnv
-    from dronevio.sim.envs.tasks import Hover, Navigate, Race, Track, VioHover, VioNavigate, Waypoints
+    from dronevio.sim.envs.tasks import Explore, Hover, Navigate, Race, Track, VioHover, VioNavigate, Waypoints
     from dronevio.sim.envs.vector import DroneVectorEnv
     from dronevio.sim.envs.vector_checker import check_vector_env
 
@@ -27,8 +28,10 @@ __all__ = [
     "DroneVectorEnv",
     "EnvironmentSettings",
     "Estimation",
+    "Explore",
     "Hover",
     "LogUniform",
+    "MapSettings",
     "Navigate",
     "Normal",
     "PolicyMission",
@@ -60,9 +63,11 @@ __getattr__, __dir__ = attach(
         "dronevio.sim.envs.policies.mission": ("PolicyMission", "policy_mission", "policy_outcome"),
         "dronevio.sim.envs.policies.pilot": ("PolicyPilot",),
         "dronevio.sim.envs.episodes.randomization": ("MODERATE", "Randomization"),
+        "dronevio.sim.envs.sensing.ray_maps": ("MapSettings",),
         "dronevio.sim.envs.settings": ("EnvironmentSettings",),
         "dronevio.sim.envs.single": ("DroneEnv",),
         "dronevio.sim.envs.tasks": (
+            "Explore",
             "Hover",
             "Navigate",
             "Race",

@@ -22,6 +22,7 @@ from dronevio.sim.envs.sensing.estimator_loop import EstimatorLoop
 from dronevio.sim.envs.sensing.held_images import HeldImages, ImageRenderer
 from dronevio.sim.envs.sensing.imu_window import ImuWindow
 from dronevio.sim.envs.sensing.observations import ObservedState, limits_of, observation_named
+from dronevio.sim.envs.sensing.ray_maps import FINER, RayMaps, world_cells
 from dronevio.sim.envs.settings import EnvironmentSettings
 from dronevio.sim.envs.tasks import Objective, Transition
 from dronevio.sim.envs.tasks.task import distance_m
@@ -112,6 +113,7 @@ class DroneCore:
             if settings.images
             else None
         )
+        self._maps = self._unknown_maps() if settings.has_map else None
         self._rng = np.random.default_rng(0)
         self._loop: EstimatorLoop | None = None
         states, goals = self._begin(count)
@@ -125,7 +127,7 @@ class DroneCore:
             loops=self._mode.start(states),
             images=None if self._renderer is None else self._renderer.start(count),
         )
-        limits = limits_of(self.area, self._objective(), settings.vehicle, settings.samples)
+        limits = limits_of(self.area, self._objective(), settings.vehicle, settings.samples, settings.mapping.shape)
         self.arrangement = Arrangement(
             {name: observation_named(name, limits) for name in settings.observed if name not in settings.images},
             {} if self._renderer is None else self._renderer.spaces,
@@ -193,6 +195,8 @@ class DroneCore:
         )
         if settings.estimator is not None:
             self._wait_for_estimate(settings.estimator, states)
+        if self._maps is not None:
+            self._maps.restart(mask, self._T_world_imu(self.states))
         loops = merged(mask, self._mode.start(self._perceived()), last.loops)
         self._episode = replace(self._episode, loops=loops)
         return {**self._state_info(), "randomization": randomized.values()}
@@ -218,7 +222,8 @@ class DroneCore:
         reason = failures(after, now.touched, now.diverged, unestimated, self._bounds)
         standing_m = self.plant.standing_height_m
         sigma_m = np.zeros(self.count) if self._loop is None else self._loop.position_sigma_m
-        step = Transition(last.states, after, action, last.action, self._t_s, reason > 0, standing_m, sigma_m)
+        seen_m3 = np.zeros(self.count) if self._maps is None else self._maps.advance(self._T_world_imu(after))
+        step = Transition(last.states, after, action, last.action, self._t_s, reason > 0, standing_m, sigma_m, seen_m3)
         goals = task.advance(self.area, last.goals, step)
         terms = task.reward_terms(self.area, last.goals, goals, step)
         images = None if last.images is None else last.images.one_step_later()
@@ -236,8 +241,8 @@ class DroneCore:
         """Return the observations of n environments: of the policy as perceived, of the critic as they are."""
         now = self._episode
         if self._renderer is not None and now.images is not None:
-            T_world_imu = self.T_world_vehicle @ self.settings.rig.T_vehicle_imu
-            now = replace(now, images=self._renderer.renewed(now.images, T_world_imu, self.plant.t_ns, now.randomized))
+            images = self._renderer.renewed(now.images, self._T_world_imu(now.states), self.plant.t_ns, now.randomized)
+            now = replace(now, images=images)
             self._episode = now
         true = ObservedState(
             now.states,
@@ -247,6 +252,7 @@ class DroneCore:
             lambda: self.plant.wind_m_s,
             now.action,
             now.randomized,
+            None if self._maps is None else self._maps.around,
         )
         seen = true if self._loop is None else replace(true, states=self._loop.states(), imu_bias=self._loop.bias)
         return self.arrangement.observe(seen, true, {} if now.images is None else now.images.images)
@@ -262,6 +268,7 @@ class DroneCore:
             "episode": self._episode,
             "plant": self.plant.save(),
             "imu": self._imu.save(),
+            "maps": None if self._maps is None else self._maps.save(),
             "rng": self._rng.bit_generator.state,
         }
 
@@ -275,6 +282,8 @@ class DroneCore:
         self._episode = saved["episode"]
         self.plant.restore(saved["plant"])
         self._imu.restore(saved["imu"])
+        if self._maps is not None:
+            self._maps.restore(saved["maps"])
         self._rng.bit_generator.state = saved["rng"]
 
     def close(self) -> None:
@@ -303,6 +312,10 @@ class DroneCore:
         """Limits of the flight."""
         task = self.settings.task
         return Bounds(task.bounds_m(self.area), -np.inf if task.lands else self._standing_m + GROUND_M)
+
+    def _T_world_imu(self, states: VehicleStates) -> Array:
+        """Return the poses (n, 4, 4) of the IMUs of vehicles."""
+        return pose_matrix(states.R_world_vehicle, states.position_m) @ self.settings.rig.T_vehicle_imu
 
     def _begin(self, count: int) -> tuple[VehicleStates, Any]:
         """Draw initial states, of which none is below that of a standing vehicle, and goals of the task."""
@@ -369,5 +382,12 @@ class DroneCore:
     def _state_info(self) -> dict[str, Any]:
         """Return values by name, arrays of n rows, that describe the current state."""
         goal = self._objective().position_m[:, 0]
+        mapped = {} if self._maps is None else {"known_m3": self._maps.known_m3.copy()}
         estimated = {} if self._loop is None else self._loop.info()
-        return {"distance_m": distance_m(self.states, goal), "t_ns": self._t_ns, **estimated}
+        return {"distance_m": distance_m(self.states, goal), "t_ns": self._t_ns, **mapped, **estimated}
+
+    def _unknown_maps(self) -> RayMaps:
+        """Return unknown maps of the world."""
+        c = self.settings
+        solids = world_cells(c.world, c.world_seed, c.mapping.cell_m / FINER)
+        return RayMaps(self.count, solids, c.rig.cameras[c.camera], c.mapping, c.steps_per_cast)

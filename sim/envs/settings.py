@@ -13,6 +13,7 @@ from dronevio.sim.envs.episodes.randomization import NOTHING_RANDOM, Randomizati
 from dronevio.sim.envs.sensing.camera_observation import ImageKind, ImageSettings, RenderedObservation
 from dronevio.sim.envs.sensing.estimation import CameraSetup, Estimation, EstimatorFactory
 from dronevio.sim.envs.sensing.observations import IMAGES
+from dronevio.sim.envs.sensing.ray_maps import MapSettings
 from dronevio.sim.envs.tasks import AnyTask, Hover, task_named
 from dronevio.sim.physics.wind import CALM, Wind
 
@@ -22,8 +23,8 @@ class EnvironmentSettings(Settings):
     """Settings that all environments have; each is a keyword argument of `gymnasium.make`."""
 
     task: AnyTask = field(default_factory=Hover)
-    """Task, or its name: ``hover``, ``waypoints``, ``track``, ``race``, ``navigate``, ``vio-hover`` or
-    ``vio-navigate``."""
+    """Task, or its name: ``hover``, ``waypoints``, ``track``, ``race``, ``navigate``, ``explore``, ``vio-hover``
+    or ``vio-navigate``."""
     world: str = ""
     """Name of the world; that of the task by default. ``dronevio worlds`` lists all."""
     world_seed: Annotated[int, Range(0, 2**32 - 1)] = 0
@@ -66,6 +67,8 @@ class EnvironmentSettings(Settings):
     instead of the true state, see `dronevio.sim.envs.sensing.estimation`. None uses the true state."""
     estimation: Estimation = field(default_factory=Estimation)
     """Settings of the estimator in the loop: latency, longest wait, darkness and image sensors."""
+    mapping: MapSettings = field(default_factory=MapSettings)
+    """Settings of the map, of a task or with the observation ``local_map``: rays, cells and observed part."""
     threads: Annotated[int, Range(0, 1024)] = 1
     """Number of threads of the physics; 0 means one for each processor. Results do not depend on it."""
 
@@ -99,6 +102,12 @@ class EnvironmentSettings(Settings):
                 f"estimator with the task {type(self.task).__name__}, which starts in the air; expected one that starts"
                 " standing, such as vio-hover or vio-navigate"
             )
+        if self.has_map and not cameras:
+            raise ConfigError("a map with a rig without cameras; expected a camera")
+        if self.has_map and self.estimator is not None:
+            raise ConfigError("a map of true poses with an estimator; expected observations without 'local_map'")
+        if self.has_map:
+            _require_fraction("mapping.rate_hz", self.mapping.rate_hz, "action_rate_hz", self.action_rate_hz)
         _require_fraction("action_rate_hz", self.action_rate_hz, "imu_rate_hz", self.imu_rate_hz)
         _require_fraction("camera_rate_hz", self.camera_rate_hz, "action_rate_hz", self.action_rate_hz)
         _require_fraction("imu_rate_hz", self.imu_rate_hz, "physics_rate_hz", self.physics_rate_hz)
@@ -117,6 +126,16 @@ class EnvironmentSettings(Settings):
     def images(self) -> tuple[ImageKind, ...]:
         """Names of all observed images."""
         return tuple(kind for kind in IMAGES if kind in self.observed)
+
+    @property
+    def has_map(self) -> bool:
+        """Whether the environment maps, for its task or for the observation ``local_map``."""
+        return self.task.maps or "local_map" in self.observed
+
+    @property
+    def steps_per_cast(self) -> int:
+        """Number of actions from one cast of the rays of the map to the next."""
+        return round(self.action_rate_hz / self.mapping.rate_hz)
 
     @property
     def has_imu(self) -> bool:

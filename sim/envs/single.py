@@ -21,7 +21,7 @@ _ALL = np.ones(1, dtype=np.bool_)
 class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
     """A quadrotor with a task: the class of all environments of dronevio.
 
-    The tasks are `Hover`, `Waypoints`, `Track`, `Race`, `Navigate`, `VioHover` and `VioNavigate` in
+    The tasks are `Hover`, `Waypoints`, `Track`, `Race`, `Navigate`, `Explore`, `VioHover` and `VioNavigate` in
     `dronevio.sim.envs.tasks`, whose docstrings specify the environments. Physics, IMU and camera are those of the
     scenarios. A vector of environments, `DroneVectorEnv`, runs the same code on many drones at once.
 
@@ -50,6 +50,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
     | ``reward_terms`` | terms of the reward by name; not after a reset |
     | ``distance_m`` | distance from the current goal [m] |
     | ``t_ns`` | time since the start of the episode [ns] |
+    | ``known_m3`` | volume of the known cells of the map, with a map [m³] |
     | ``randomization`` | drawn values by name, see `RandomizedParameters`; only after a reset |
 
     With an estimator, there are also the entries that `dronevio.sim.envs.sensing.estimation` describes.

@@ -62,7 +62,7 @@ def test_other_rates_keep_the_time_limit(hovering_policy: Policy) -> None:
 
 
 def test_environments_have_to_fit_the_policy(hovering_policy: Policy) -> None:
-    with pytest.raises(ConfigError, match="unknown environment 'dronevio/Fly-v0'; expected one of dronevio/Hover-v0"):
+    with pytest.raises(ConfigError, match="unknown environment 'dronevio/Fly-v0'; expected one of dronevio/Explore-v0"):
         dv.evaluate_policy(hovering_policy, 2, environment="dronevio/Fly-v0")
     with pytest.raises(ConfigError, match="'dronevio/VioHover-v0' without native vectors"):
         dv.evaluate_policy(hovering_policy, 2, environment="dronevio/VioHover-v0")

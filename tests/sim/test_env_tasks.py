@@ -8,7 +8,19 @@ import pytest
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import RESEARCH
-from dronevio.sim.envs.tasks import TASKS, AnyTask, Hover, Navigate, Race, Track, Transition, Waypoints, task_named
+from dronevio.sim.envs.tasks import (
+    TASKS,
+    AnyTask,
+    Explore,
+    Hover,
+    Navigate,
+    Race,
+    Track,
+    Transition,
+    Waypoints,
+    task_named,
+)
+from dronevio.sim.envs.tasks.explore import ExploreGoals
 from dronevio.sim.envs.tasks.navigate import NavigateGoals
 from dronevio.sim.envs.tasks.race import RaceGoals
 from dronevio.sim.envs.tasks.track import TrackGoals
@@ -233,3 +245,30 @@ def test_impossible_tasks_are_refused() -> None:
         Race().begin(replace(AREA, gates=()), RESEARCH, rng, 1)
     with pytest.raises(ConfigError, match="no free places"):
         Navigate(clearance_m=9.0).begin(AREA, RESEARCH, rng, 1)
+
+
+def test_explore_rewards_the_volume_that_becomes_known() -> None:
+    task = Explore(volume_m3=10.0)
+    goals = ExploreGoals(np.zeros((1, 3)), np.array([7.5]))
+    made = replace(
+        step([0.0, 0.0, 1.0], [0.1, 0.0, 1.0], failed=True),
+        seen_m3=np.array([2.0]),
+        action=np.array([[1.0, 1.0, 0.0, 0.0]]),
+    )
+    after = task.advance(AREA, goals, made)
+    assert after.seen_m3[0] == 9.5 and not task.success(AREA, after, made)[0]
+    terms = task.reward_terms(AREA, goals, after, made)
+    assert terms["seen"][0] == pytest.approx(0.4)
+    assert terms["smoothness"][0] == pytest.approx(-0.01 * 0.5)
+    assert terms["failure"][0] == -10.0 and terms["rate"][0] == 0.0
+    assert task.success(AREA, task.advance(AREA, after, made), made)[0]
+    with pytest.raises(ConfigError, match="no goal"):
+        task.with_goal(goals, np.zeros((1, 3)))
+
+
+def test_explore_starts_with_any_heading_in_free_space() -> None:
+    task = Explore()
+    states, _ = task.begin(AREA, RESEARCH, np.random.default_rng(0), 400)
+    assert AREA.space.clearance(states.position_m).min() > task.clearance_m - 0.1 * 3**0.5
+    ahead = states.R_world_vehicle[:, :2, 0]
+    assert np.abs(ahead.mean(axis=0)).max() < 0.15  # 0.035 by chance

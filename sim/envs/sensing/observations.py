@@ -16,6 +16,8 @@ specific force [m/s²] in the IMU frame |
 | ``goals`` | (K, 3) | current goal and the following ones relative to the vehicle, in its frame [m] |
 | ``gates`` | (K, 4, 3) | corners of the openings of the next gates relative to the vehicle, in its frame [m]; \
 only in the task Race |
+| ``local_map`` | (L, N, N) | cells of the map around the vehicle: 0 unknown, −1 free, 1 occupied or outside the \
+world; layers from below, then cells from behind to ahead and from right to left, by the heading alone |
 | ``last_action`` | (4,) | action of the last step; zeros after a reset |
 | ``parameters`` | (14,) | drawn values of the randomization: mass, inertia (3), rotor time constant, thrust and drag \
 as factors, wind (3) [m/s], gusts, latency [s], and errors of the IMU as a factor, light |
@@ -28,7 +30,7 @@ as factors, wind (3) [m/s], gusts, latency [s], and errors of the IMU as a facto
 All but images are float32. They are true values, except for ``imu``; with an estimator, the policy sees estimated ones,
 except for ``rotors``, ``battery``, ``parameters`` and ``wind`` (`dronevio.sim.envs.sensing.estimation`). The vehicle
 frame is x forward, y left, z up. Values are clipped to the bounds of their spaces. Images are those of
-`dronevio.sim.envs.sensing.camera_observation`.
+`dronevio.sim.envs.sensing.camera_observation`, maps those of `dronevio.sim.envs.sensing.ray_maps`.
 """
 
 from collections.abc import Callable
@@ -85,6 +87,8 @@ class ObservedState:
     """(n, 4) Actions of the last step."""
     randomized: RandomizedParameters
     """Randomized parameters of the episodes."""
+    map_around: Callable[[VehicleStates], Array] | None = None
+    """Function that returns the parts (n, L, N, N) of the maps around vehicles; None without maps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +109,13 @@ class Limits:
     """Number of observed goals."""
     has_gates: bool
     """Whether the goals are gates."""
+    map_shape: tuple[int, ...] = ()
+    """Shape of the observed part of a map; empty without one."""
 
 
-def limits_of(area: FlightArea, objective: Objective, quadrotor: Quadrotor, samples: int) -> Limits:
+def limits_of(
+    area: FlightArea, objective: Objective, quadrotor: Quadrotor, samples: int, map_shape: tuple[int, ...] = ()
+) -> Limits:
     """Return the sizes and bounds of observations.
 
     Args:
@@ -115,6 +123,7 @@ def limits_of(area: FlightArea, objective: Objective, quadrotor: Quadrotor, samp
         objective: Goals of any number of vehicles.
         quadrotor: The type of the vehicles.
         samples: Number of IMU samples per action.
+        map_shape: Shape of the observed part of a map; empty without one.
     """
     low, high = area.space.low, area.space.high
     return Limits(
@@ -125,6 +134,7 @@ def limits_of(area: FlightArea, objective: Objective, quadrotor: Quadrotor, samp
         samples=samples,
         goals=objective.position_m.shape[1],
         has_gates=bool(objective.size_m.any()),
+        map_shape=map_shape,
     )
 
 
@@ -231,6 +241,14 @@ def _gates(limits: Limits) -> Observation:
     return Observation(_symmetric((limits.goals, 4, 3), limits.reach_m), values)
 
 
+def _local_map(limits: Limits) -> Observation:
+    def values(s: ObservedState) -> Array:
+        assert s.map_around is not None  # environments have maps where one is observed
+        return s.map_around(s.states)
+
+    return Observation(_symmetric(limits.map_shape, 1.0), values)
+
+
 def _last_action(limits: Limits) -> Observation:
     return Observation(_symmetric((4,), 1.0), lambda s: s.last_action)
 
@@ -269,6 +287,7 @@ NAMES: dict[str, Callable[[Limits], Observation]] = {
     "imu": _imu,
     "goals": _goals,
     "gates": _gates,
+    "local_map": _local_map,
     "last_action": _last_action,
     "parameters": _parameters,
     "wind": _wind,

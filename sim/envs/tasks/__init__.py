@@ -1,6 +1,7 @@
 """Tasks of the environments: how episodes start, what is rewarded, and when they end."""
 
 from dronevio.models.errors import ConfigError
+from dronevio.sim.envs.tasks.explore import Explore
 from dronevio.sim.envs.tasks.hover import Hover
 from dronevio.sim.envs.tasks.navigate import Navigate
 from dronevio.sim.envs.tasks.race import Race
@@ -13,6 +14,7 @@ from dronevio.sim.envs.tasks.waypoints import Waypoints
 __all__ = [
     "TASKS",
     "AnyTask",
+    "Explore",
     "Hover",
     "Navigate",
     "Objective",
@@ -33,6 +35,7 @@ TASKS: dict[str, AnyTask] = {
     "track": Track(),
     "race": Race(),
     "navigate": Navigate(),
+    "explore": Explore(),
     "vio-hover": VioHover(),
     "vio-navigate": VioNavigate(),
 }

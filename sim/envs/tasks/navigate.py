@@ -1,15 +1,14 @@
 """Task Navigate: reach a goal among obstacles by camera."""
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Annotated, ClassVar
 
 import numpy as np
 
 from dronevio.models.arrays import Array, Mask
-from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.ranges import Range
+from dronevio.sim.envs.tasks.places import free_places
 from dronevio.sim.envs.tasks.task import (
     Objective,
     Start,
@@ -24,10 +23,7 @@ from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import Table, VehicleStates
 
 _START = Start(position_m=0.1, velocity_m_s=0.3, tilt_rad=0.1, rate_rad_s=0.3)
-_PLACES = 2048  # random places of a world, of whose free ones starts and goals are drawn
-_CELL_M = 2.0
 _TRIES = 64  # goals drawn for each start, of which the first at a suitable distance is taken
-_PLACES_SEED = 0  # of the free places, which do not depend on the seed of an environment
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +127,7 @@ class Navigate(TaskSettings):
         self, area: FlightArea, quadrotor: Quadrotor, rng: np.random.Generator, count: int
     ) -> tuple[VehicleStates, NavigateGoals]:
         """Draw starts and goals in free space."""
-        places = _free_places(area, self.height_m, self.clearance_m)
+        places = free_places(area, self.height_m, self.clearance_m)
         start = places[rng.integers(0, len(places), count)]
         goal = drawn_goals(self, area, start, rng)
         heading = goal - start
@@ -167,30 +163,9 @@ class Navigate(TaskSettings):
 
 def drawn_goals(task: Navigate, area: FlightArea, start: Array, rng: np.random.Generator) -> Array:
     """Return random free places (n, 3) at suitable distances from the starts (n, 3) of a task [m]."""
-    places = _free_places(area, task.height_m, task.clearance_m)
+    places = free_places(area, task.height_m, task.clearance_m)
     candidates = places[rng.integers(0, len(places), (_TRIES, len(start)))]
     distance = np.linalg.norm(candidates - start, axis=2)
     # how far each distance is from the demanded range; 0 within
     excess = np.maximum(np.maximum(task.distance_m[0] - distance, distance - task.distance_m[1]), 0.0)
     return np.asarray(candidates[np.argmin(excess, axis=0), np.arange(len(start))])
-
-
-@lru_cache(maxsize=8)
-def _free_places(area: FlightArea, height_m: tuple[float, float], clearance_m: float) -> Array:
-    """Return places (P, 3) in the free space of a world.
-
-    Raises:
-        ConfigError: There are none at these heights with this clearance.
-    """
-    rng = np.random.default_rng(_PLACES_SEED)
-    low, high = area.space.low.copy(), area.space.high.copy()
-    low[2], high[2] = area.pad[2] + height_m[0], area.pad[2] + height_m[1]
-    points = rng.uniform(low, high, (_PLACES, 3))
-    points = points[np.lexsort(np.round(points[:, :2].T / _CELL_M))]  # neighbours together, which is faster
-    free = points[area.space.clearance(points) >= clearance_m]
-    if len(free) < 2:
-        raise ConfigError(
-            f"no free places {height_m[0]:g} to {height_m[1]:g} m above the floor with {clearance_m:g} m of clearance; "
-            "expected another world, height_m or clearance_m"
-        )
-    return free

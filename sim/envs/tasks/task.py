@@ -57,6 +57,8 @@ class Transition:
     position_sigma_m: Array = field(default_factory=lambda: np.zeros(1))
     """(n,) Standard deviations of the estimated positions along their least certain axes; zeros without an estimator
     [m]."""
+    seen_m3: Array = field(default_factory=lambda: np.zeros(1))
+    """(n,) Volumes that became known in the maps; zeros without maps [m³]."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,8 @@ class Task(Protocol[Goals]):
     """Name of the default action mode; see `dronevio.sim.envs.episodes.actions`."""
     lands: ClassVar[bool]
     """Whether standing on the ground is part of the task; otherwise it is a failure."""
+    maps: ClassVar[bool]
+    """Whether the task depends on maps of what has been seen."""
 
     @property
     def world(self) -> str:
@@ -170,6 +174,8 @@ class TaskSettings(Settings):
 
     lands: ClassVar[bool] = False
     """Whether standing on the ground is part of the task; otherwise it is a failure."""
+    maps: ClassVar[bool] = False
+    """Whether the task depends on maps of what has been seen."""
 
     def bounds_m(self, area: FlightArea) -> Array:
         """Return the free box (2, 3) of the world [m]."""

@@ -14,19 +14,24 @@ from dronevio.models.ranges import Range, Settings
 
 @dataclass(frozen=True)
 class EvaluateCommand(Settings):
-    """Evaluate trained policies in episodes of their environments that they have not been trained on.
+    """Evaluate trained policies in episodes of their environments that they have not been trained on, and baselines.
 
     The success rate, the distance from the goal at the end, crashes by reason, and times are averaged over all
-    episodes. The seed determines the episodes, so that policies are compared in the same ones.
+    episodes. The seed determines the episodes, so that policies are compared in the same ones. The baselines fly to
+    goals without learning: planner maps the observed depth and plans, straight flies straight ahead.
 
     Examples:
       dronevio policy evaluate hover.safetensors
       dronevio policy evaluate hover-*.safetensors --episodes 1000 --randomization moderate
       dronevio policy evaluate race.safetensors --world-seed 3 --json
+      dronevio policy evaluate planner straight --episodes 50
+      dronevio policy evaluate planner --environment dronevio/VioNavigate-v0 --episodes 10
     """
 
-    policies: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE")]
-    """One or more files of policies."""
+    policies: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE|NAME")]
+    """One or more files of policies, or names of baselines: planner, straight."""
+    environment: str = ""
+    """Environment; by default that in which a policy was trained, and dronevio/Navigate-v0 for baselines."""
     episodes: Annotated[int, Range(1, 1_000_000)] = 100
     """Number of episodes for each policy."""
     seed: Annotated[int, Range(0, 2**32 - 1)] = 1_000_000
@@ -50,9 +55,14 @@ def main(arguments: Sequence[str]) -> int:
 
     if not command.policies:
         raise ConfigError("no policy; expected the path of one or more")
-    policies = {path: load_policy(path) for path in command.policies}  # a damaged file is reported before the first run
 
-    from dronevio.policy_evaluation import evaluate_policy
+    from dronevio.policy_evaluation import BASELINES, NAVIGATE, evaluate_baseline, evaluate_policy
+
+    # A damaged file is reported before the first run
+    policies = {
+        path: None if str(path) in BASELINES and not path.exists() else load_policy(path) for path in command.policies
+    }
+
     from dronevio.sim.envs.episodes.randomization import MODERATE, NOTHING_RANDOM
 
     settings: dict[str, Any] = {
@@ -61,10 +71,15 @@ def main(arguments: Sequence[str]) -> int:
         "world_seed": command.world_seed,
     }
     with progress_bars(quiet=command.printing.json) as bars:
-        results = {
-            path: evaluate_policy(policy, command.episodes, command.seed, progress=bars.bar(path.stem), **settings)
-            for path, policy in policies.items()
-        }
+        results = {}
+        for path, policy in policies.items():
+            run: dict[str, Any] = {"progress": bars.bar(path.stem), **settings}
+            if policy is None:
+                run["environment"] = command.environment or NAVIGATE
+                results[path] = evaluate_baseline(path.stem, command.episodes, command.seed, **run)
+            else:
+                run["environment"] = command.environment
+                results[path] = evaluate_policy(policy, command.episodes, command.seed, **run)
     if command.printing.json:
         print_json(
             {
