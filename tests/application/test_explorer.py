@@ -12,7 +12,9 @@ from dronevio.autonomy.exploration import exploration_scenario, explore
 from dronevio.autonomy.pilot.decided_course import DecidedCourse, Motion
 from dronevio.autonomy.pilot.explorer import Explorer
 from dronevio.autonomy.pilot.heading import Turn
+from dronevio.autonomy.pilot.map_route import MapRoute
 from dronevio.autonomy.pilot.margin import RelativeMargin
+from dronevio.autonomy.pilot.moment import Moment
 from dronevio.autonomy.pilot.tasks import ReachGoal
 from dronevio.autonomy.planning.body import Body
 from dronevio.autonomy.planning.goal_path import path_to_goal
@@ -38,7 +40,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from dronevio.models.rotation import pose_matrix, rotation_z
-from dronevio.models.state import CameraFrame, Estimate, NavState
+from dronevio.models.state import CameraFrame, Estimate, Health, NavState
 from dronevio.sim.closed_loop.flight import fly_closed_loop
 from dronevio.sim.faults import Faults
 from dronevio.sim.flight import Flight
@@ -249,6 +251,24 @@ def test_a_path_from_outside_the_heights_leads_to_them_first(z: float) -> None:
     np.testing.assert_allclose(found.waypoints[-1], goal, atol=0.06)
     rest = found.waypoints[1:] if z != 1.0 else found.waypoints
     assert np.all((rest[:, 2] > 0.8 - 1e-6) & (rest[:, 2] < 1.5 + 1e-6))
+
+
+def test_what_was_given_up_is_not_given_up_again_and_routes_avoid_it() -> None:
+    """A gate of unknown space in a wall at x = 3 m; the way around it is free."""
+    grid = grid_of((slice(1, 59), slice(1, 39), slice(1, 19)))
+    grid.states[29:31, :30] = OCCUPIED
+    grid.states[29:31, 10:22] = UNKNOWN
+    said: list[str] = []
+    route, heights_m = MapRoute(1_000_000_000, said.append), np.array([0.5, 1.5])
+    start, goal = np.vstack([[2.0, 1.6, 1.0], np.zeros((3, 3))]), np.array([4.0, 1.6, 1.0])
+    m = Moment(0, 0, start, 0.0, 0.0, BODY, grid, np.eye(4), np.eye(4), Estimate(0, Health.TRACKING, None))
+    through = route.path(m, lambda: grid, goal, heights_m)
+    assert through is not None and np.abs(through[:, 1] - 1.6).max() < 0.3
+    ahead = sampled(through, start[0])[8:]
+    assert route.give_up(m, BODY, ahead) and route.is_due(0)
+    around = route.path(m, lambda: grid, goal, heights_m)
+    assert around is not None and around[:, 1].max() > 3.0
+    assert not route.give_up(m, BODY, ahead) and len(said) == 1
 
 
 def test_a_place_above_or_below_is_in_reach() -> None:
