@@ -48,6 +48,9 @@ class DepthImage:
     """(H, W) Standard deviation of the depth; 0 where it is unknown [m]."""
     grey: Image
     """(H, W) Undistorted image."""
+    least_m: Floats | None = None
+    """(H, W) Least depth that the surface at a pixel of unknown depth can have, 0 where it may have any; None if it may
+    have any everywhere [m]."""
 
     def __post_init__(self) -> None:
         """Check the shapes.
@@ -56,9 +59,10 @@ class DepthImage:
             ConfigError: An array does not have the size of the camera's image.
         """
         expected = (self.camera.height, self.camera.width)
-        for name in ("depth_m", "sigma_m", "grey"):
-            if (found := getattr(self, name).shape) != expected:
-                raise ConfigError(f"depth image whose {name} has shape {found}; expected {expected}")
+        for name in ("depth_m", "sigma_m", "grey", "least_m"):
+            image = getattr(self, name)
+            if image is not None and image.shape != expected:
+                raise ConfigError(f"depth image whose {name} has shape {image.shape}; expected {expected}")
 
     @property
     def known(self) -> Mask:

@@ -96,12 +96,16 @@ def _add_free(
     # The nearest depth in them, by the holes that may hide a thing up to the far side of the cell
     bands = bands_between(near_m + float(half_m), far_m, float(depth.camera.K[0, 0]))
     free_to = _in_steps(depth.depth_m, depth.sigma_m, 1.0, -FREE_SIGMAS, far_m)
+    known = depth.known
+    if depth.least_m is not None:
+        free_to += _in_steps(depth.least_m, depth.sigma_m, 1.0, 0.0, far_m)  # 0 where the depth is known
+        known |= depth.least_m > 0.0
     sizes_px = (
         (int(np.ceil(least / band.end_m + 0.5)), min(largest_px, int(most / (band.begin_m - 2.0 * half_m) + 1.5)))
         for band in bands
     )
     windows = NearestDepths.of(
-        (closed, *sizes) for closed, sizes in zip(without_holes(free_to, depth.known, bands), sizes_px, strict=True)
+        (closed, *sizes) for closed, sizes in zip(without_holes(free_to, known, bands), sizes_px, strict=True)
     )
     begins_m = np.array([band.begin_m for band in bands[:-1]], np.float32)
     number = np.asarray((z + half_m <= begins_m[:, None]).sum(axis=0, dtype=np.int32))
