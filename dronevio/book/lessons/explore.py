@@ -625,14 +625,15 @@ plt.show()
 # **1. How fast?** A depth image is used up to 4 m, and a plan is flown 0.2 s
 # after it. From which speed can the drone still stop before what it has just
 # seen, if its body reaches 0.45 m ahead? Compare $v^2 / 2a$ with the end of
-# `dronevio.autonomy.planning.local_plan.braking`, at 3 m/s².
+# `dronevio.autonomy.planning.local_plan.braking`, at 3 m/s². Give it a limit of
+# the speed above $v$, such as 5 m/s: from its limit on, it brakes twice as hard.
 #
 # <details markdown="1"><summary>Answer</summary>
 #
 # With constant deceleration, $0.2 v + v^2 / 6 = 3.55$ m holds for 4.0 m/s. A
 # drone cannot jump from no to full deceleration, since it has to tilt first.
 # The trajectory of minimum snap from 2 m/s ends after 1.3 m, from 3 m/s after
-# 2.9 m, and from 4 m/s after 5.0 m. With the latency, 3 m/s are the limit.
+# 2.8 m, and from 4 m/s after 5.1 m. With the latency, 3 m/s are the limit.
 #
 # </details>
 #
@@ -657,11 +658,11 @@ plt.show()
 #
 # <details markdown="1"><summary>Answer</summary>
 #
-# With one plan a second, the flight takes 32 s instead of 24 s. Each plan ends
+# With one plan a second, the flight takes 32 s instead of 23 s. Each plan ends
 # at rest at the end of what was known when it was made, so that the drone
-# nearly stops before it receives the next one. With 2 m it takes 23 s: in front
-# of a door and in a room with furniture, walls end the view earlier than that,
-# and the drone is slow anyway. In a forest the range would count.
+# nearly stops before it receives the next one. With 2 m it still takes 23 s: the
+# median speed falls from 1.25 m/s to 1.17 m/s, but take-off and turns take most
+# of the time. In a forest the range would count more.
 #
 # </details>
 #
