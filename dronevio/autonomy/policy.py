@@ -48,7 +48,7 @@ _SLOW_M_S, _STILL_M_S = 0.5, 0.1
 _LEAST_STEP_M, _PROGRESS_M = 0.15, 0.6  # lengths of a plan that is worth to be flown, and that leads on
 _CHECK_S = 0.05  # between the points of a trajectory whose clearance is checked
 _STUCK_S = 2.0  # without progress, after which the path is looked at from aside, then given up
-_PEEKS = 3
+_PEEKS, _AWAY_M = 3, 1.3  # places from which a path is looked at, and distance beyond which they are behind
 _OFF_M = 0.4  # between vehicle and trajectory, from where on a plan begins at the vehicle
 _CLIMB_M_S = 0.6
 _FREE_BELOW_M = 0.4  # depth and height of the space around a start in the air that is free
@@ -138,7 +138,7 @@ class PlannerPolicy:
         self._start: Array | None = None
         self._reference: _Reference | None = None
         self._departs_s = self._map_due_s = self._plan_due_s = self._progress_s = self._peeking_until_s = 0.0
-        self._peeks = 0
+        self._peeks, self._stuck_at = 0, np.full(3, np.inf)
 
     def action(self, observation: Mapping[str, npt.ArrayLike]) -> npt.NDArray[np.float32]:
         """Return the action (4,) of the mode ``velocity`` for the next observation of the episode.
@@ -252,13 +252,15 @@ class PlannerPolicy:
             else:
                 self._follow(m, trajectory, yaw)
             if length_m > _PROGRESS_M:
-                self._progress_s, self._peeks = t_s, 0
+                self._progress_s = t_s
+            if np.linalg.norm(trajectory.control_points[-1, -1] - self._stuck_at) > _AWAY_M:
+                self._peeks = 0
             return
         # Without a new trajectory: fly on if the last one is still free, otherwise stop
         if m.speed_m_s > 0.5 * _STILL_M_S and self._is_blocked(m, space):
             self._say("the trajectory is blocked: stop")
             self._follow(m, stop(space, m.start, m.body, c.limits), yaw)
-        elif m.speed_m_s < _STILL_M_S:
+        elif m.speed_m_s < _STILL_M_S and t_s > self._peeking_until_s:
             self._say("look")
             self._follow(m, self._halt(m, space), yaw)
             if t_s - self._progress_s > _STUCK_S:
@@ -273,6 +275,8 @@ class PlannerPolicy:
             self._route.give_up(m, self._settings.body, ahead)
             return
         self._say("look from another place")
+        if self._peeks == 0:
+            self._stuck_at = m.position_m
         self._peeks += 1
         self._peeking_until_s = self._progress_s + there.duration_s
         self._progress_s += there.duration_s - 0.5 * _STUCK_S
