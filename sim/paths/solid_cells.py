@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dronevio.models.arrays import Array, Mask
+from dronevio.models.arrays import Array, Integers, Mask
 from dronevio.sim.paths.space import Space
 
 
@@ -30,13 +30,29 @@ def solid_cells(space: Space, cell_m: float) -> SolidCells:
         cell_m: Side of a cell [m].
     """
     shape = np.ceil((space.high - space.low) / cell_m - 1e-9).astype(int)
-    axes = [space.low[k] + cell_m * (np.arange(shape[k]) + 0.5) for k in range(3)]
     near_m = 0.5 * 3.0**0.5 * cell_m
-    is_solid = np.zeros(shape, np.bool_)
-    # Each obstacle within its axis-aligned bounding box
-    reach = np.einsum("kij,kj->ki", np.abs(space.rotations), space.halves) + near_m
-    low = np.clip(np.floor((space.centres - reach - space.low) / cell_m), 0, shape).astype(int)
-    high = np.clip(np.ceil((space.centres + reach - space.low) / cell_m), 0, shape).astype(int)
+    is_solid = near_obstacles(space, space.low + 0.5 * cell_m, cell_m, shape, near_m)
+    return SolidCells(space.low.copy(), space.high.copy(), cell_m, is_solid)
+
+
+def near_obstacles(space: Space, first: Array, spacing_m: float, shape: Integers, least_m: float) -> Mask:
+    """Return which samples (X, Y, Z) of a space are nearer to an obstacle than a distance.
+
+    Each obstacle is compared with the samples in its axis-aligned bounding box, which takes a small share of the time
+    of `Space.clearance`.
+
+    Args:
+        space: Obstacles; its bounds are none.
+        first: (3,) Position of the first sample [m].
+        spacing_m: Distance between samples along each axis [m].
+        shape: (3,) Number of samples along each axis.
+        least_m: The distance, more than 0 [m].
+    """
+    axes = [first[k] + spacing_m * np.arange(shape[k]) for k in range(3)]
+    is_near = np.zeros(shape, np.bool_)
+    reach = np.einsum("kij,kj->ki", np.abs(space.rotations), space.halves) + least_m
+    low = np.clip(np.floor((space.centres - reach - first) / spacing_m), 0, shape).astype(int)
+    high = np.clip(np.ceil((space.centres + reach - first) / spacing_m) + 1, 0, shape).astype(int)
     for centre, half, R, a, b in zip(space.centres, space.halves, space.rotations, low, high, strict=True):
         if np.any(a >= b):
             continue
@@ -45,5 +61,5 @@ def solid_cells(space: Space, cell_m: float) -> SolidCells:
         for along, half_m in zip(R.T, half, strict=True):
             beyond = np.abs((along[0] * x[:, None] + along[1] * y)[..., None] + along[2] * z) - half_m
             squared += np.maximum(beyond, 0.0) ** 2
-        is_solid[a[0] : b[0], a[1] : b[1], a[2] : b[2]] |= squared <= near_m * near_m
-    return SolidCells(space.low.copy(), space.high.copy(), cell_m, is_solid)
+        is_near[a[0] : b[0], a[1] : b[1], a[2] : b[2]] |= squared < least_m * least_m
+    return is_near

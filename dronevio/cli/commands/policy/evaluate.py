@@ -1,15 +1,18 @@
 """``dronevio policy evaluate``: success, errors and crashes of policies over many episodes."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
 from dronevio.models.ranges import Range, Settings
+
+if TYPE_CHECKING:
+    from dronevio.policy_evaluation import PolicyEvaluation
 
 
 @dataclass(frozen=True)
@@ -70,8 +73,8 @@ def main(arguments: Sequence[str]) -> int:
         "world": command.world or "",
         "world_seed": command.world_seed,
     }
+    results: dict[Path, PolicyEvaluation] = {}
     with progress_bars(quiet=command.printing.json) as bars:
-        results = {}
         for path, policy in policies.items():
             run: dict[str, Any] = {"progress": bars.bar(path.stem), **settings}
             if policy is None:
@@ -81,25 +84,30 @@ def main(arguments: Sequence[str]) -> int:
                 run["environment"] = command.environment
                 results[path] = evaluate_policy(policy, command.episodes, command.seed, **run)
     if command.printing.json:
-        print_json(
-            {
-                "episodes": command.episodes,
-                "seed": command.seed,
-                "randomization": command.randomization,
-                "world": command.world,
-                "world_seed": command.world_seed,
-                "policies": [
-                    {
-                        "policy": str(path),
-                        "environment": result.environment,
-                        **result.figures(),
-                        "ends": result.counts(),
-                    }
-                    for path, result in results.items()
-                ],
-            }
-        )
-        return 0
+        print_json(_document(command, results))
+    else:
+        _print(command, results)
+    return 0
+
+
+def _document(command: EvaluateCommand, results: Mapping[Path, "PolicyEvaluation"]) -> dict[str, Any]:
+    """Return the figures of policies by their paths, of types that JSON can represent."""
+    policies = [
+        {"policy": str(path), "environment": result.environment, **result.figures(), "ends": result.counts()}
+        for path, result in results.items()
+    ]
+    return {
+        "episodes": command.episodes,
+        "seed": command.seed,
+        "randomization": command.randomization,
+        "world": command.world,
+        "world_seed": command.world_seed,
+        "policies": policies,
+    }
+
+
+def _print(command: EvaluateCommand, results: Mapping[Path, "PolicyEvaluation"]) -> None:
+    """Print the figures of policies by their paths."""
     rows = []
     for path, result in results.items():
         figures = result.figures()
@@ -120,7 +128,6 @@ def main(arguments: Sequence[str]) -> int:
     title = f"{command.episodes} episodes, seed {command.seed}, randomization {command.randomization}"
     print_table(title, columns, rows, left=("environment", "ends"))
     print("distance: mean distance from the goal at the end; time, lap: means over the successful episodes")
-    return 0
 
 
 def _number(value: float | None, form: str) -> str:
