@@ -8,7 +8,7 @@ known to be free; the action follows the planned trajectory.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import atan2, hypot, pi, radians, remainder
+from math import atan2, hypot, pi, remainder
 from typing import Any
 
 import numpy as np
@@ -17,15 +17,12 @@ import numpy.typing as npt
 from dronevio.autonomy.observed_map import ObservedMap
 from dronevio.autonomy.pilot.map_route import MapRoute
 from dronevio.autonomy.pilot.moment import Moment
+from dronevio.autonomy.pilot.path_following import PathFollowing, is_blocked
 from dronevio.autonomy.planning.known_space import LocalSpace, with_free_column
 from dronevio.autonomy.planning.local_plan import (
-    at_rest,
     braking,
-    place_beside,
     sampled,
-    stop,
     straight,
-    trajectory_along,
 )
 from dronevio.autonomy.planning.trajectory import CorridorTrajectory
 from dronevio.autonomy.policy_settings import PlannerSettings
@@ -33,7 +30,7 @@ from dronevio.estimator.threads import single_threaded
 from dronevio.models.actions import ActionLimits
 from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
-from dronevio.models.occupancy import OCCUPIED, OccupancyGrid
+from dronevio.models.occupancy import OccupancyGrid
 from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import pose_matrix, yaw_rad_from_matrix
 from dronevio.models.state import Estimate, Health
@@ -43,12 +40,8 @@ OBSERVATIONS = ("depth", "goals", "rotation", "body_velocity")
 
 _ROUTE_NS = 1_000_000_000  # between two routes
 _AHEAD_M = 1.5  # along the path, where the vehicle looks
-_ASKEW_RAD = radians(50.0)  # between heading and path, from where on the vehicle turns before it flies
-_SLOW_M_S, _STILL_M_S = 0.5, 0.1
-_LEAST_STEP_M, _PROGRESS_M = 0.15, 0.6  # lengths of a plan that is worth to be flown, and that leads on
+_SLOW_M_S = 0.5  # at which a plan that leads further is expected to be flown
 _CHECK_S = 0.05  # between the points of a trajectory whose clearance is checked
-_STUCK_S = 2.0  # without progress, after which the path is looked at from aside, then given up
-_PEEKS, _AWAY_M = 3, 1.3  # places from which a path is looked at, and distance beyond which they are behind
 _OFF_M = 0.4  # between vehicle and trajectory, from where on a plan begins at the vehicle
 _CLIMB_M_S = 0.6
 _FREE_BELOW_M = 0.4  # depth and height of the space around a start in the air that is free
@@ -137,8 +130,8 @@ class PlannerPolicy:
         self._steps = 0
         self._start: Array | None = None
         self._reference: _Reference | None = None
-        self._departs_s = self._map_due_s = self._plan_due_s = self._progress_s = self._peeking_until_s = 0.0
-        self._peeks, self._stuck_at = 0, np.full(3, np.inf)
+        self._departs_s = self._map_due_s = self._plan_due_s = 0.0
+        self._following = PathFollowing(c.limits)
 
     def action(self, observation: Mapping[str, npt.ArrayLike]) -> npt.NDArray[np.float32]:
         """Return the action (4,) of the mode ``velocity`` for the next observation of the episode.
@@ -175,7 +168,7 @@ class PlannerPolicy:
         if self._takes_off:
             trajectory = straight(position, position + [0.0, 0.0, c.take_off_m], _CLIMB_M_S)
             self._departs_s = trajectory.duration_s
-        self._progress_s = self._departs_s
+        self._following.begin(round(1e9 * self._departs_s))
         self._reference = _Reference(trajectory, 0.0, yaw)
 
     def _moment(self, t_s: float, position: Array, velocity: Array, yaw: float) -> Moment:
@@ -184,7 +177,7 @@ class PlannerPolicy:
         start = self._reference.state(t_s)
         if np.linalg.norm(start[0] - position) > _OFF_M:
             start = np.stack([position, velocity, np.zeros(3), np.zeros(3)])
-        grid, t_ns = self._within_heights(self._with_start(self._map.around(start[0]))), round(1e9 * t_s)
+        grid, t_ns = self._with_start(self._map.around(start[0])), round(1e9 * t_s)
         unmoved, estimate = np.eye(4), Estimate(t_ns, Health.TRACKING, None)
         return Moment(t_ns, t_ns, start, yaw, 0.0, self._settings.body, grid, unmoved, unmoved, estimate)
 
@@ -194,14 +187,6 @@ class PlannerPolicy:
         assert self._start is not None
         top_m = 2.0 * _FREE_BELOW_M + (c.take_off_m if self._takes_off else 0.0)
         return with_free_column(grid, self._start - [0.0, 0.0, _FREE_BELOW_M], c.start_radius_m, top_m)
-
-    def _within_heights(self, grid: OccupancyGrid) -> OccupancyGrid:
-        """Return a grid in which a body between the heights of paths has room only there."""
-        half_m, (least, most) = self._settings.body.half_height_m, self._heights()
-        z = grid.low_m[2] + grid.cell_m * (np.arange(grid.states.shape[2]) + 0.5)
-        states = grid.states.copy()
-        states[..., (z < least - half_m) | (z > most + half_m)] = OCCUPIED
-        return replace(grid, states=states)
 
     def _heights(self) -> Array:
         """Return the least and the greatest height (2,) of paths [m]."""
@@ -213,11 +198,11 @@ class PlannerPolicy:
     def _decide(self, m: Moment) -> None:
         """Decide what is flown from now on."""
         assert m.grid is not None
-        space = LocalSpace.of(m.grid, m.body, m.position_m)
+        space = LocalSpace.of(m.grid, m.body, m.position_m, self._heights())
         path = self._route.path(m, self._known, np.zeros(3), self._heights())
         if path is None:
             self._say("no path: hold")
-            self._follow(m, self._halt(m, space), m.yaw_rad)
+            self._follow(m, self._following.halt(m, space), m.yaw_rad)
             return
         self._fly_along(m, space, sampled(path, m.position_m, self._settings.horizon_m))
 
@@ -232,55 +217,17 @@ class PlannerPolicy:
         look = ahead[min(round(_AHEAD_M / 0.1), len(ahead) - 1)] - m.position_m
         assert self._reference is not None
         yaw = atan2(look[1], look[0]) if hypot(look[0], look[1]) > 0.3 else self._reference.yaw_rad
-        is_askew = abs(remainder(yaw - m.yaw_rad, 2.0 * pi)) > _ASKEW_RAD
-        if is_askew and m.speed_m_s < _STILL_M_S:
-            self._say("turn")
-            self._follow(m, self._halt(m, space), yaw)
-            self._progress_s = t_s
+        step = self._following.step(m, space, ahead, self._rest(t_s), yaw - m.yaw_rad)
+        if step.what is None or step.trajectory is None:
             return
-        limits = replace(c.limits, speed_m_s=max(_SLOW_M_S, 0.8 * m.speed_m_s)) if is_askew else c.limits
-        trajectory = trajectory_along(space, ahead, m.start, m.body, limits)
-        length_m = 0.0
-        if trajectory is not None:
-            length_m = float(np.linalg.norm(trajectory.control_points[-1, -1] - m.position_m))
-        if trajectory is not None and (
-            length_m > _PROGRESS_M or (length_m > _LEAST_STEP_M and t_s > self._peeking_until_s)
-        ):
-            self._say("fly")
-            if self._is_kept(m, space, trajectory):
-                self._reference = replace(self._reference, yaw_rad=yaw)
-            else:
-                self._follow(m, trajectory, yaw)
-            if length_m > _PROGRESS_M:
-                self._progress_s = t_s
-            if np.linalg.norm(trajectory.control_points[-1, -1] - self._stuck_at) > _AWAY_M:
-                self._peeks = 0
-            return
-        # Without a new trajectory: fly on if the last one is still free, otherwise stop
-        if m.speed_m_s > 0.5 * _STILL_M_S and self._is_blocked(m, space):
-            self._say("the trajectory is blocked: stop")
-            self._follow(m, stop(space, m.start, m.body, c.limits), yaw)
-        elif m.speed_m_s < _STILL_M_S and t_s > self._peeking_until_s:
-            self._say("look")
-            self._follow(m, self._halt(m, space), yaw)
-            if t_s - self._progress_s > _STUCK_S:
-                self._try_otherwise(m, space, ahead, yaw)
-
-    def _try_otherwise(self, m: Moment, space: LocalSpace, ahead: Array, yaw: float) -> None:
-        """Look at the path from another place; give up what is unknown on it if that has not helped."""
-        place = None if self._peeks == _PEEKS else place_beside(space, m.position_m, ahead[-1], m.body)
-        there = None if place is None else trajectory_along(space, place[None], m.start, m.body, self._settings.limits)
-        self._progress_s = m.now_ns * 1e-9
-        if there is None:
-            self._route.give_up(m, self._settings.body, ahead)
-            return
-        self._say("look from another place")
-        if self._peeks == 0:
-            self._stuck_at = m.position_m
-        self._peeks += 1
-        self._peeking_until_s = self._progress_s + there.duration_s
-        self._progress_s += there.duration_s - 0.5 * _STUCK_S
-        self._follow(m, there, yaw)
+        self._say(step.what)
+        if step.what == "fly" and self._is_kept(m, space, step.trajectory):
+            self._reference = replace(self._reference, yaw_rad=yaw)
+        else:
+            self._follow(m, step.trajectory, yaw)
+        if step.is_stuck:
+            self._route.give_up(m, c.body, ahead)
+            self._following.wait(m.now_ns)
 
     def _is_kept(self, m: Moment, space: LocalSpace, newer: CorridorTrajectory) -> bool:
         """Return whether what is flown is still clear, and a newer plan leads on more slowly."""
@@ -289,16 +236,7 @@ class PlannerPolicy:
         remaining_s = flown.begins_s + flown.trajectory.duration_s - t_s
         further_m = np.linalg.norm(newer.control_points[-1, -1] - flown.trajectory.control_points[-1, -1])
         is_slower = newer.duration_s > remaining_s + float(further_m) / _SLOW_M_S
-        return remaining_s > 0.0 and is_slower and not self._is_blocked(m, space)
-
-    def _is_blocked(self, m: Moment, space: LocalSpace) -> bool:
-        """Return whether the rest of what is flown leaves the space for the body."""
-        clearances = space.clearances(self._rest(m.now_ns * 1e-9))
-        return bool(np.any(clearances < m.body.radius_m - space.grid.cell_m))
-
-    def _halt(self, m: Moment, space: LocalSpace) -> CorridorTrajectory:
-        """Return the trajectory to rest, or at rest."""
-        return at_rest(m.position_m) if m.is_at_rest else stop(space, m.start, m.body, self._settings.limits)
+        return remaining_s > 0.0 and is_slower and not is_blocked(m, space, self._rest(t_s))
 
     def _rest(self, t_s: float) -> Array:
         """Return the points (N, 3) of what is still to be flown [m]."""

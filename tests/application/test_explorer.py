@@ -15,6 +15,7 @@ from dronevio.autonomy.pilot.heading import Turn
 from dronevio.autonomy.pilot.map_route import MapRoute
 from dronevio.autonomy.pilot.margin import RelativeMargin
 from dronevio.autonomy.pilot.moment import Moment
+from dronevio.autonomy.pilot.path_following import PathFollowing
 from dronevio.autonomy.pilot.tasks import ReachGoal
 from dronevio.autonomy.planning.body import Body
 from dronevio.autonomy.planning.goal_path import path_to_goal
@@ -269,6 +270,35 @@ def test_what_was_given_up_is_not_given_up_again_and_routes_avoid_it() -> None:
     around = route.path(m, lambda: grid, goal, heights_m)
     assert around is not None and around[:, 1].max() > 3.0
     assert not route.give_up(m, BODY, ahead) and len(said) == 1
+
+
+@pytest.mark.parametrize("peeks", [True, False])
+def test_a_path_that_leads_nowhere_is_looked_at_from_three_places_and_then_given_up(peeks: bool) -> None:
+    """Space is unknown beyond x = 3 m. Each trajectory is flown to its end, which may lie 0.6 m and more away."""
+    grid = grid_of((slice(1, 30), slice(1, 39), slice(1, 19)))
+    path = np.linspace([1.0, 2.0, 1.0], [5.0, 2.0, 1.0], 41)
+    position, now_ns, following, whats = np.array([1.0, 2.0, 1.0]), 0, PathFollowing(LIMITS), list[str]()
+    for _ in range(200):
+        start, estimate = np.vstack([position, np.zeros((3, 3))]), Estimate(now_ns, Health.TRACKING, None)
+        m = Moment(now_ns, now_ns, start, 0.0, 0.0, BODY, grid, np.eye(4), np.eye(4), estimate)
+        space = LocalSpace.of(grid, BODY, position)
+        step = following.step(m, space, sampled(path, position), position[None], 0.0, peeks=peeks)
+        assert step.what is not None and step.trajectory is not None
+        whats.append(step.what)
+        if step.is_stuck:
+            break
+        position = step.trajectory.control_points[-1, -1]
+        now_ns += max(round(1e9 * step.trajectory.duration_s) + 1, 200_000_000)
+    assert step.is_stuck and whats[0] == "fly" and whats.count("look from another place") == (3 if peeks else 0)
+
+
+def test_the_vehicle_turns_before_it_flies_where_it_does_not_see() -> None:
+    grid, position = grid_of((slice(1, 59), slice(1, 39), slice(1, 19))), np.array([1.0, 2.0, 1.0])
+    start, path = np.vstack([position, np.zeros((3, 3))]), np.linspace(position, [5.0, 2.0, 1.0], 41)
+    m = Moment(0, 0, start, 0.0, 0.0, BODY, grid, np.eye(4), np.eye(4), Estimate(0, Health.TRACKING, None))
+    space = LocalSpace.of(grid, BODY, position)
+    whats = [PathFollowing(LIMITS).step(m, space, path, path, angle).what for angle in (1.0, -1.0, 0.8, 2 * pi, None)]
+    assert whats == ["turn", "turn", "fly", "fly", "fly"]
 
 
 def test_a_place_above_or_below_is_in_reach() -> None:

@@ -10,7 +10,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from math import atan2, hypot, pi, radians, remainder
+from math import atan2, hypot, pi, radians
 from typing import Literal
 
 import numpy as np
@@ -21,14 +21,12 @@ from dronevio.autonomy.pilot.heading import Turn
 from dronevio.autonomy.pilot.map_route import MapRoute
 from dronevio.autonomy.pilot.margin import RelativeMargin
 from dronevio.autonomy.pilot.moment import Moment, moved
+from dronevio.autonomy.pilot.path_following import STILL_M_S, PathFollowing
 from dronevio.autonomy.pilot.tasks import Target, Task
 from dronevio.autonomy.planning.known_space import LocalSpace, with_free_column
 from dronevio.autonomy.planning.landing import landing_place
 from dronevio.autonomy.planning.local_plan import (
-    at_rest,
     braking,
-    place_above,
-    place_beside,
     sampled,
     slowed,
     stop,
@@ -62,19 +60,12 @@ _DESCENT_M_S = 0.5
 _LOOK_FROM_M, _LOOK_ABOVE_M = 0.5, 0.3  # heights of the turns after the take-off, above the stand and the hover
 _YAW_ACCEL_RAD_S2 = 3.0
 _AHEAD_M = 1.5  # along the route, where the vehicle looks
-_ASKEW_RAD = radians(50.0)  # between heading and route, from where on the vehicle turns before it flies
-_SLOW_M_S = 0.5  # while it turns
-_STILL_M_S = 0.1
 GOAL_M = 0.5
 """Distance from the goal within which a flight must end."""
 _NEAR_M = 0.25  # from the goal, where it is reached
-_LEAST_STEP_M, _PROGRESS_M = 0.15, 0.6  # lengths of a plan that is worth to be flown, and that leads on
 _STOP_AFTER_NS, _LAND_AFTER_NS = 300_000_000, 1_000_000_000  # without depth; later if it is due less often
 _ROUTE_NS = 1_000_000_000  # between two routes
 _CHECK_NS = 25_000_000  # between the points of a trajectory whose clearance is checked: half a cell at 2 m/s
-_STUCK_NS = 2_000_000_000  # without progress, after which unseen space on the route is given up
-_PEEKS = 3  # places from which a path is looked at
-_AWAY_M = 1.3  # from where a vehicle was stuck, beyond which these places are behind
 _SINK_M = 0.05  # by which the descent ends below the ground
 _TURNED_RAD = radians(10.0)  # of a view, within which it is taken
 _EARLY_NS = 1_000_000  # by which a plan may be made before it is due, for time stamps that jitter
@@ -109,11 +100,11 @@ class Explorer:
         self.T_world_odom: Array | None = None
         self._route = MapRoute(_ROUTE_NS, self._say)
         self._target: Target | None = None
-        self._stuck_at = np.full(3, np.inf)
-        self._peeks = self._peeking_until_ns = self._to_floor_until_ns = 0
+        self._following = PathFollowing(self._settings.limits)
+        self._to_floor_until_ns = 0
         self._depth_ns = 0
         self._margin = RelativeMargin()
-        self._plan_due_ns = self._progress_ns = 0
+        self._plan_due_ns = 0
         self._ends_ns: int | None = None
         self._is_going_home = False
 
@@ -228,17 +219,17 @@ class Explorer:
             self._end("covered", m)
             return
         target_odom = m.from_map(target.position_map_m)
-        if np.linalg.norm(m.position_m - target_odom) < _NEAR_M and m.speed_m_s < _STILL_M_S:
+        if np.linalg.norm(m.position_m - target_odom) < _NEAR_M and m.speed_m_s < STILL_M_S:
             self._arrive(m, space, target)
             return
         path = self._route.path(m, known, target.position_map_m, self._heights(m))
         if path is None:
             self._turn_back(m)
             if self._ends_ns is None:
-                self._follow(m, self._halt(m, space), self._turn(m, None))
+                self._follow(m, self._following.halt(m, space), self._turn(m, None))
             return
         # Where the body has no room at the target, the path ends at the nearest place.
-        if np.linalg.norm(m.position_m - path[-1]) < _NEAR_M and m.speed_m_s < _STILL_M_S:
+        if np.linalg.norm(m.position_m - path[-1]) < _NEAR_M and m.speed_m_s < STILL_M_S:
             if np.linalg.norm(path[-1] - target_odom) <= GOAL_M:
                 self._arrive(m, space, target)
             else:
@@ -264,7 +255,6 @@ class Explorer:
 
     def _fly_along(self, m: Moment, space: LocalSpace, ahead: Array, target: Target) -> None:
         """Fly along a path (N, 3) as far as it is known to be free, after a turn toward it."""
-        c = self._settings
         # Look along the path or, near its end, in the direction of the view.
         look = ahead[min(round(_AHEAD_M / 0.1), len(ahead) - 1)] - m.position_m
         toward, at_end = atan2(look[1], look[0]) if hypot(look[0], look[1]) > 0.3 else None, _view_rad(m, target)
@@ -272,65 +262,22 @@ class Explorer:
             np.linalg.norm(m.from_map(target.position_map_m) - m.position_m) < _AHEAD_M
         )
         turn = self._turn(m, at_end if is_near else toward)
-        way = None if toward is None or is_near else turn.yaw_rad + turn.angle_rad
-        is_askew = way is not None and abs(remainder(way - m.yaw_rad, 2 * pi)) > _ASKEW_RAD
-        if is_askew and m.speed_m_s < _STILL_M_S:
-            self._say("turn")
-            self._follow(m, self._halt(m, space), turn)
-            self._progress_ns = m.now_ns
-            return
-        limits = replace(c.limits, speed_m_s=max(_SLOW_M_S, 0.8 * m.speed_m_s)) if is_askew else c.limits
-        trajectory = trajectory_along(space, ahead, m.start, m.body, limits)
-        end = m.position_m if trajectory is None else trajectory.control_points[-1, -1]
-        length_m = float(np.linalg.norm(end - m.position_m))
-        if length_m > _PROGRESS_M or (length_m > _LEAST_STEP_M and m.now_ns > self._peeking_until_ns):
-            assert trajectory is not None
-            self._say("fly home" if self._is_going_home else "fly")
-            self._follow(m, trajectory, turn)
-            if length_m > _PROGRESS_M:
-                self._progress_ns = m.now_ns
-            if np.linalg.norm(end - self._stuck_at) > _AWAY_M:
-                self._peeks = 0
-            return
-        # Without a new trajectory: fly on if the last one is still free, otherwise stop.
+        askew = None if toward is None or is_near else turn.yaw_rad + turn.angle_rad - m.yaw_rad
         rest = m.from_world(self._course.positions_from(m.begins_ns)[:: max(_CHECK_NS // self._course.interval_ns, 1)])
-        room_m = space.clearances(rest)
-        least_m = min(m.body.radius_m, float(room_m[0])) - space.grid.cell_m
-        if m.speed_m_s > 0.5 * _STILL_M_S and np.any(room_m < least_m):
-            self._say("the trajectory is blocked: stop")
-            self._follow(m, stop(space, m.start, m.body, c.limits), turn)
-        elif m.speed_m_s < _STILL_M_S and m.now_ns > self._peeking_until_ns:
-            self._say("look")
-            self._follow(m, self._halt(m, space), turn)
-            if m.now_ns - self._progress_ns > _STUCK_NS:
-                self._try_otherwise(m, space, ahead, turn)
-
-    def _halt(self, m: Moment, space: LocalSpace) -> CorridorTrajectory:
-        """Return the trajectory to rest, or at rest."""
-        return at_rest(m.position_m) if m.is_at_rest else stop(space, m.start, m.body, self._settings.limits)
-
-    def _try_otherwise(self, m: Moment, space: LocalSpace, ahead: Array, turn: Turn) -> None:
-        """Look at the path from another place; give up what is unknown on it if that has not helped.
-
-        A task that has other targets takes the next one.
-        """
-        is_last = self._peeks == _PEEKS or self._task.has_others
-        find = place_above if self._peeks == 1 else place_beside
-        place = None if is_last else find(space, m.position_m, ahead[-1], m.body)
-        there = None if place is None else trajectory_along(space, place[None], m.start, m.body, self._settings.limits)
-        if there is None:
-            if self._route.give_up(m, self._settings.body, ahead) and not self._task.has_others:
-                self._progress_ns = m.now_ns
-            else:  # all is known, and the body does not fit
-                self._turn_back(m)
+        step = self._following.step(m, space, ahead, rest, askew, peeks=not self._task.has_others)
+        if step.what is None or step.trajectory is None:
             return
-        self._say("look from another place")
-        if self._peeks == 0:
-            self._stuck_at = m.position_m
-        self._peeks += 1
-        self._progress_ns = m.now_ns + round(1e9 * there.duration_s) - _STUCK_NS // 2
-        self._peeking_until_ns = m.begins_ns + round(1e9 * there.duration_s)
-        self._follow(m, there, turn)
+        self._say("fly home" if step.what == "fly" and self._is_going_home else step.what)
+        self._follow(m, step.trajectory, turn)
+        if step.is_stuck:
+            self._give_up(m, ahead)
+
+    def _give_up(self, m: Moment, ahead: Array) -> None:
+        """Give up what is unknown on the path, for another one; a task that has other targets takes the next one."""
+        if self._route.give_up(m, self._settings.body, ahead) and not self._task.has_others:
+            self._following.wait(m.now_ns)
+        else:  # all is known, and the body does not fit
+            self._turn_back(m)
 
     def _arrive(self, m: Moment, space: LocalSpace, target: Target) -> None:
         """End the flight at the goal, or land at home; turn to the heading of a view, then take the next."""
@@ -340,7 +287,7 @@ class Explorer:
         turn = self._turn(m, _view_rad(m, target))
         if target.yaw_map_rad is not None and abs(turn.angle_rad) > _TURNED_RAD:
             self._say("turn to the view")
-            self._follow(m, self._halt(m, space), turn)
+            self._follow(m, self._following.halt(m, space), turn)
         elif not self._leave(m):
             self._end("reached", m)
 
@@ -359,7 +306,7 @@ class Explorer:
             return False
         self._task.leave()
         self._route.drop()
-        self._progress_ns, self._peeks = m.now_ns, 0
+        self._following.begin(m.now_ns)
         return True
 
     def _end(self, outcome: Outcome, m: Moment) -> None:
