@@ -50,6 +50,7 @@ from dronevio.sim.paths.limits import Limits
 BODY = Body(0.45, 0.35, 0.2)
 LIMITS = Limits(speed_m_s=2.0, accel_m_s2=3.0)
 INTERVAL_NS = 5_000_000
+S = 1_000_000_000
 angles = st.floats(-7.0, 7.0)
 rates = st.floats(-1.5, 1.5)
 
@@ -290,6 +291,21 @@ def test_a_path_that_leads_nowhere_is_looked_at_from_three_places_and_then_given
         position = step.trajectory.control_points[-1, -1]
         now_ns += max(round(1e9 * step.trajectory.duration_s) + 1, 200_000_000)
     assert step.is_stuck and whats[0] == "fly" and whats.count("look from another place") == (3 if peeks else 0)
+
+
+def test_a_look_from_another_place_is_not_broken_off_while_the_vehicle_is_slow() -> None:
+    grid = grid_of((slice(1, 30), slice(1, 39), slice(1, 19)))
+    position, path = np.array([2.55, 2.0, 1.0]), np.linspace([2.55, 2.0, 1.0], [5.0, 2.0, 1.0], 25)
+    space, following = LocalSpace.of(grid, BODY, position), PathFollowing(LIMITS)
+    estimate = Estimate(0, Health.TRACKING, None)
+    for now_ns, speed_m_s, what in (
+        (S, 0.0, "look"),
+        (4 * S, 0.0, "look from another place"),
+        (4 * S + S // 5, 0.05, None),
+    ):
+        start = np.vstack([position, [0.0, speed_m_s, 0.0], np.zeros((2, 3))])
+        m = Moment(now_ns, now_ns, start, 0.0, 0.0, BODY, grid, np.eye(4), np.eye(4), estimate)
+        assert following.step(m, space, path, position[None], None).what == what
 
 
 def test_the_vehicle_turns_before_it_flies_where_it_does_not_see() -> None:
