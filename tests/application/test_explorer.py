@@ -212,15 +212,36 @@ def test_from_a_narrow_place_the_way_leads_back_to_room(speed_m_s: float) -> Non
     assert trajectory_along(shut, np.linspace(start[0], [4.0, 2.0, 1.0], 29), start, BODY, LIMITS) is None
 
 
-def test_stop_ends_before_the_obstacle_ahead() -> None:
+@pytest.mark.parametrize(("x_m", "most_m_s2"), [(1.5, 3.0), (2.0, 6.0)])
+def test_stop_ends_before_the_obstacle_ahead(x_m: float, most_m_s2: float) -> None:
+    """The body has room up to x = 2.75 m; with less of it, the stop is harder, but not where there is enough."""
     grid = grid_of((slice(1, 59), slice(1, 39), slice(1, 19)))
     grid.states[32:] = OCCUPIED
-    space = LocalSpace.of(grid, BODY, np.array([1.0, 2.0, 1.0]))
-    start = np.array([[1.5, 2.0, 1.0], [1.8, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    start = np.array([[x_m, 2.0, 1.0], [1.9, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    space = LocalSpace.of(grid, BODY, start[0])
     trajectory = stop(space, start, BODY, LIMITS)
-    points = trajectory.path(np.linspace(0.0, trajectory.duration_s, 100))
-    assert space.clearances(points).min() >= BODY.radius_m - 1e-6
+    t = np.linspace(0.0, trajectory.duration_s, 100)
+    assert space.clearances(trajectory.path(t)).min() >= BODY.radius_m - 1e-6
     np.testing.assert_allclose(trajectory.state(trajectory.duration_s)[1:], 0.0, atol=1e-6)
+    accel = np.linalg.norm(trajectory.path.derivative(2)(t), axis=1).max()
+    assert 0.5 * most_m_s2 < accel <= most_m_s2
+
+
+def test_without_room_to_stop_the_vehicle_brakes_as_hard_as_it_can() -> None:
+    """At 0.25 m from where the body has no more room, at 1.9 m/s."""
+    grid = grid_of((slice(1, 59), slice(1, 39), slice(1, 19)))
+    grid.states[32:] = OCCUPIED
+    start = np.array([[2.5, 2.0, 1.0], [1.9, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    hard, nominal = stop(LocalSpace.of(grid, BODY, start[0]), start, BODY, LIMITS), braking(start, LIMITS)
+    lengths = [t.path(t.duration_s)[0] - 2.5 for t in (hard, nominal)]
+    assert lengths[0] < 0.6 * lengths[1]
+
+
+@pytest.mark.parametrize("speed_m_s", [1.0, 2.0, 2.1])
+def test_braking_from_the_limit_of_speed_keeps_that_of_acceleration(speed_m_s: float) -> None:
+    trajectory = braking(np.array([np.zeros(3), [speed_m_s, 0.0, 0.0], np.zeros(3), np.zeros(3)]), LIMITS)
+    accel = np.linalg.norm(trajectory.path.derivative(2)(np.linspace(0.0, trajectory.duration_s, 100)), axis=1)
+    assert accel.max() <= LIMITS.accel_m_s2
 
 
 def test_stop_of_a_descending_vehicle_is_nearly_level() -> None:

@@ -9,8 +9,8 @@ from dronevio.models.arrays import Array, Mask
 from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, DistanceField, OccupancyGrid
 
 NEAR_M = 1.9
-"""Distance along each axis within which the vehicle sees what is 4 cm wide, and from which its front can stop: at 2 m/s
-and 3 m/s², with 0.2 s until the next plan and as long until it is flown, after 1.5 m [m]."""
+"""Distance along each axis within which the vehicle sees what is 4 cm wide, and from which its front can stop: from
+2 m/s with twice 3 m/s² in 0.64 m, after 0.2 s until the next plan and as long until it is flown [m]."""
 
 
 @dataclass(frozen=True, eq=False)

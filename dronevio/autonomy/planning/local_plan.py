@@ -3,8 +3,9 @@
 A plan is a trajectory inside free boxes around a route through the local map, with a turn toward where it leads next.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from scipy import ndimage
@@ -25,6 +26,7 @@ _SPARE_M = (0.2, 0.1, 0.0)  # clearance of the route beyond that of the corridor
 _ASIDE_M, _UPRIGHT_M = (0.3, 1.0), (0.25, 0.5)  # distance of places from which a path is looked at again
 _STILL_M_S = 0.1  # up to which a trajectory is sought in every corridor, however long that takes
 _LEVEL_M, _FAR_M = 0.15, 20.0  # half the sides of boxes in which the vehicle brakes
+_HARDER = (1.0, 2.0, 4.0)  # multiples of the acceleration of stops, tried in turn
 _BACK_LEAST_M, _BACK_M = 0.2, 1.0  # length of a way back to more room
 _BACK_M_S, _BACK_BESIDE_M = 0.5, 0.05  # speed on it, and half its width
 _BACK_TRIES, _BACK_SAMPLES = 200, 21
@@ -162,19 +164,30 @@ def _reached(space: LocalSpace, position: Array, body: Body) -> Mask | None:
 
 
 def stop(space: LocalSpace, start: Array, body: Body, limits: Limits) -> CorridorTrajectory:
-    """Return a trajectory from a state to rest: in free boxes ahead, level if possible, else as fast as possible."""
-    speed = float(np.linalg.norm(start[1]))
+    """Return a trajectory from a state to rest in free boxes ahead, level and within the limits if possible.
+
+    Where there is less room than that needs, the acceleration is doubled, and again. Where even that needs more room,
+    the vehicle brakes as hard as it can.
+    """
+    speed, factors = float(np.linalg.norm(start[1])), _HARDER
     if speed > 1e-3:
         ahead = start[0] + start[1] / speed * np.linspace(0.0, 1.0, 12)[:, None] * speed**2 / limits.accel_m_s2
         clear = space.is_clear(body.radius_m)
         blocked = np.flatnonzero(space.clearances(ahead) < body.radius_m - 1e-6)
-        ahead = ahead[: blocked[0]] if len(blocked) else ahead
+        if len(blocked):
+            ahead, factors = ahead[: blocked[0]], _HARDER[::-1]
         corridor = corridor_along(space.grid, clear, ahead, _REACH_M) if len(ahead) > 1 else None
-        for part in () if corridor is None else (_level(corridor, float(start[0, 2])), corridor):
-            trajectory = corridor_trajectory(part, start, None, limits)
+        parts = () if corridor is None else (_level(corridor, float(start[0, 2])), corridor)
+        for factor, part in product(_HARDER, parts):
+            trajectory = corridor_trajectory(part, start, None, _stopping(limits, speed, factor))
             if trajectory is not None:
                 return trajectory
-    return braking(start, limits)
+    return braking(start, limits, factors)
+
+
+def _stopping(limits: Limits, speed_m_s: float, factor: float) -> Limits:
+    """Return limits of a stop from a speed, which may be a little above its own limit, with a multiple of the rest."""
+    return replace(limits, accel_m_s2=factor * limits.accel_m_s2, speed_m_s=max(limits.speed_m_s, 1.1 * speed_m_s))
 
 
 def _level(corridor: Corridor, z_m: float) -> Corridor:
@@ -184,13 +197,19 @@ def _level(corridor: Corridor, z_m: float) -> Corridor:
     return Corridor(low, high)
 
 
-def braking(start: Array, limits: Limits) -> CorridorTrajectory:
-    """Return a trajectory from a state to rest at nearly the same height, or with twice the acceleration if need be."""
-    for factor, depth_m in ((1.0, _LEVEL_M), (2.0, _LEVEL_M), (1.0, _FAR_M), (2.0, _FAR_M), (4.0, _FAR_M)):
-        harder = replace(limits, accel_m_s2=factor * limits.accel_m_s2, speed_m_s=factor * limits.speed_m_s)
+def braking(start: Array, limits: Limits, factors: Sequence[float] = _HARDER) -> CorridorTrajectory:
+    """Return a trajectory from a state to rest, at nearly the same height if possible.
+
+    Args:
+        start: (4, 3) Position, velocity, acceleration and jerk [m, s].
+        limits: Limits of the motion.
+        factors: Multiples of the acceleration, of which the first is taken with which there is such a trajectory.
+    """
+    speed = float(np.linalg.norm(start[1]))
+    for depth_m, factor in product((_LEVEL_M, _FAR_M), factors):
         around = np.array([_FAR_M, _FAR_M, depth_m])
         box = Corridor((start[0] - around)[None], (start[0] + around)[None])
-        trajectory = corridor_trajectory(box, start, None, harder)
+        trajectory = corridor_trajectory(box, start, None, _stopping(limits, speed, factor))
         if trajectory is not None:
             return trajectory
     raise AssertionError("no trajectory to rest")  # one exists in an unbounded box
