@@ -121,6 +121,8 @@ class ExploredFlight:
     """(N, 2) Times of the flight [s], and the share of the reachable places that the map knew then to be free."""
     stages: tuple[StageCost, ...]
     """Costs of depth, map and plan."""
+    cpu_per_s: float
+    """Processor time of everything but rendering, per second of flight."""
     speed_limit_m_s: float
     """Limit of the speed of plans [m/s]."""
     heights_m: tuple[float, float]

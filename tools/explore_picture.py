@@ -23,8 +23,8 @@ import tyro
 from PIL import Image, ImageDraw, ImageFont
 
 import dronevio as dv
+from dronevio.autonomy.pilot.explorer import Explorer
 from dronevio.autonomy.settings import ExploreSettings
-from dronevio.estimator.mapping.dense_mapper import DenseMapper
 from dronevio.models.arrays import Array
 from dronevio.models.depth import DepthImage
 from dronevio.models.occupancy import FREE, OCCUPIED, OccupancyGrid
@@ -72,15 +72,15 @@ class Recorder:
         """Receive a frame before its depth."""
         self._frame = frame
 
-    def depth(self, depth: DepthImage, estimate: Estimate, mapper: DenseMapper) -> None:
-        """Keep a moment if the next one is due; implements `DepthListener`."""
+    def depth(self, depth: DepthImage, estimate: Estimate, pilot: Explorer) -> None:
+        """Keep a moment if the next one is due; implements `FlightListener`."""
         state, T, frame = estimate.state, estimate.T_map_imu, self._frame
         if state is None or T is None or frame is None:
             return
         self.path.append((depth.t_ns, T))
         if self.moments and depth.t_ns < self.moments[-1].t_ns + INTERVAL_NS:
             return
-        grid = mapper.fused()
+        grid = pilot.mapper.fused()
         if grid is not None:
             speed_m_s = float(np.linalg.norm(state.velocity_m_s))
             self.moments.append(Moment(depth.t_ns, grid, T, speed_m_s, frame.images[0].copy()))

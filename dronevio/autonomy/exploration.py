@@ -3,6 +3,7 @@
 The truth moves the vehicle, draws the goal and scores the flight. The pilot receives frames, IMU samples and the goal.
 """
 
+import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -11,15 +12,13 @@ from typing import Literal
 import numpy as np
 
 from dronevio.autonomy.goals import HOVER_M, drawn_goal, reachable_places, shortest_m
-from dronevio.autonomy.pilot.explorer import Explorer, Outcome
-from dronevio.autonomy.pilot.flight_log import Decision, Plan, StageTimes
+from dronevio.autonomy.pilot.explorer import Explorer, FlightListener, Outcome
+from dronevio.autonomy.pilot.flight_log import Decision, Plan, StageTimes, TimedFrames
 from dronevio.autonomy.pilot.moment import moved
 from dronevio.autonomy.pilot.tasks import Cover, ReachGoal, Task
 from dronevio.autonomy.ray_sensing import DriftingOdometry, RayCameras, RaySensing
 from dronevio.autonomy.settings import ExploreSettings
 from dronevio.autonomy.true_map import true_map
-from dronevio.dense_mapping import DepthListener
-from dronevio.estimator.mapping.dense_mapper import DenseMapper
 from dronevio.estimator.mapping.depth_source import DepthSource
 from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.slam.visual_slam import VisualSlam
@@ -106,6 +105,8 @@ class Exploration:
     """(N, 2) Times on the clock of the course [s], and the `covered_share` then; about once a second."""
     times: StageTimes
     """Processor times of depth, map and plan."""
+    cpu_s: float
+    """Processor time of the flight, of physics, estimator, pilot and controller, but without rendering [s]."""
     settings: ExploreSettings
     """Settings of the flight."""
     waited_ns: int
@@ -157,7 +158,7 @@ def explore(
     slam: bool = True,
     true_pose: bool = False,
     without_images: RaySensing | None = None,
-    listeners: Sequence[DepthListener] = (),
+    listeners: Sequence[FlightListener] = (),
     on_frame: Callable[[CameraFrame], None] = lambda frame: None,
     progress: Progress = silent,
 ) -> Exploration:
@@ -175,7 +176,7 @@ def explore(
         true_pose: Whether pilot, map and controller receive the true pose in place of the estimate, which is an upper
             bound.
         without_images: Errors of depth along rays and of a drifting odometry, in place of images and estimator.
-        listeners: Receive the depth images while the map grows.
+        listeners: Receive the depth images, and the pilot, while the map grows.
         on_frame: Receives every frame.
         progress: Called with the number of completed control steps and their total.
 
@@ -221,7 +222,7 @@ def _flown(
     settings: ExploreSettings | None,
     sensing: Sensing,
     true_pose: bool,
-    listeners: Sequence[DepthListener],
+    listeners: Sequence[FlightListener],
     on_frame: Callable[[CameraFrame], None],
     progress: Progress,
 ) -> Exploration:
@@ -232,11 +233,12 @@ def _flown(
     area = np.stack([space.low, space.high])
     task: Task = Cover(area, settings.views) if goal is None else ReachGoal(goal)
     pilot = Explorer(task, longest_s, settings, sensing.depth, (*listeners, covering))
-    covering.watch(pilot)
-    estimator = TimedEstimator(sensing.estimator)
+    estimator, frames = TimedEstimator(sensing.estimator), TimedFrames(sensing.frames, pilot.times.rendering)
+    began = time.process_time()
     flight = fly_closed_loop(
-        scenario, estimator, sensing.frames, progress=progress, on_frame=on_frame, pilot=pilot, true_state=true_pose
+        scenario, estimator, frames, progress=progress, on_frame=on_frame, pilot=pilot, true_state=true_pose
     )
+    cpu_s = time.process_time() - began - 1e-3 * sum(pilot.times.rendering + pilot.times.listeners)
     run = estimator.run
     if isinstance(sensing.estimator, VisualSlam):
         run = replace(run, map=sensing.estimator.final_map())
@@ -261,6 +263,7 @@ def _flown(
         plans,
         np.array(covering.shares).reshape(-1, 2),
         pilot.times,
+        cpu_s,
         settings,
         waited_ns,
         true_pose,
@@ -321,21 +324,13 @@ class _Coverage:
     def __init__(self, scenario: Scenario) -> None:
         """Find the places."""
         self._places = reachable_places(scenario.world, scenario.seed_of_world, _start_of(scenario))
-        self._pilot: Explorer | None = None
         self.shares: list[tuple[float, float]] = []
 
-    def watch(self, pilot: Explorer) -> None:
-        """Measure the map of a pilot."""
-        self._pilot = pilot
-
-    def __call__(self, depth: DepthImage, estimate: Estimate, mapper: DenseMapper) -> None:
-        """Measure, if a second has passed; implements `DepthListener`."""
-        pilot = self._pilot
-        if pilot is None or pilot.T_world_odom is None:
-            return
+    def __call__(self, depth: DepthImage, estimate: Estimate, pilot: Explorer) -> None:
+        """Measure, if a second has passed; implements `FlightListener`."""
         now_s = 1e-9 * pilot.now_ns
-        if not self.shares or now_s >= self.shares[-1][0] + 1.0:
-            self.shares.append((now_s, self.share(mapper.fused(), pilot.T_world_odom)))
+        if pilot.T_world_odom is not None and (not self.shares or now_s >= self.shares[-1][0] + 1.0):
+            self.shares.append((now_s, self.share(pilot.mapper.fused(), pilot.T_world_odom)))
 
     def share(self, occupancy: OccupancyGrid | None, T_world_map: Array) -> float:
         """Return the share of the places that a map knows to be free."""

@@ -48,6 +48,7 @@ def explored_flight(exploration: Exploration) -> ExploredFlight:
         plans=tuple(FlownPlan(p.t_ns + e.waited_ns, p.positions_m, p.route_m) for p in e.plans),
         coverage=e.coverage + [1e-9 * e.waited_ns, 0.0],
         stages=tuple(StageCost(name, 1e3 * s, np.array(getattr(e.times, name))) for name, s in stages),
+        cpu_per_s=e.cpu_s / e.scores.time_s,
         speed_limit_m_s=settings.limits.speed_m_s,
         heights_m=(float(pad_m[2] + settings.lowest_m), float(pad_m[2] + settings.highest_m)),
         true_map=true_map(solid_space(scenario.world, scenario.seed_of_world)),
@@ -80,7 +81,7 @@ def document(exploration: Exploration, flight: ExploredFlight) -> dict[str, obje
         "outcome_text": flight.collision or flight.outcome,
         "plans": len(e.plans),
         "coverage": flight.coverage.tolist(),
-        "costs": costs,
+        "costs": costs | {"flight": {"cpu_per_s": flight.cpu_per_s}},
         "decisions": decisions,
     }
 

@@ -136,8 +136,8 @@ def fly(key: FlightKey) -> dict[str, Any]:
         **row,
         **asdict(found.scores),
         "reason": str(found.flight.collision) if found.flight.collision else last,
-        "cpu_per_s": cpu_s / found.scores.time_s,
-        "estimator_cpu_per_s": float(found.run.cpu_ms.sum()) * 1e-3 / found.scores.time_s,
+        "planning_cpu_per_s": cpu_s / found.scores.time_s,
+        "cpu_per_s": found.cpu_s / found.scores.time_s,
         **{f"{name}_p99_ms": float(np.percentile(values, 99)) for name, values in stages.items()},
     }
 

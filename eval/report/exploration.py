@@ -8,7 +8,8 @@
     outcome, …                                 the scores, and `outcome_text`, what the drone did
     plans                                      number of plans
     coverage                                   times and shares of the reachable places known to be free
-    costs                                      of depth, map and plan: declared latency, and processor times
+    costs                                      of depth, map and plan: declared latency, and processor times; of the
+                                               flight: processor time of all but rendering, per second of flight
     decisions                                  time of the flight, text and place in the world
     configuration, versions, machine           as in `RunInfo`
 """
@@ -60,6 +61,11 @@ def cost_rows(flight: ExploredFlight) -> tuple[tuple[str, str, str, str, str], .
     )
 
 
+def cost_note(flight: ExploredFlight) -> str:
+    """Return a sentence on the processor time of the whole flight."""
+    return f"All but rendering takes {flight.cpu_per_s:.2f} s of processor time per second of flight."
+
+
 COST_COLUMNS = ("stage", "declared latency [ms]", "number", "processor time, mean [ms]", "99th percentile [ms]")
 """Headings of `cost_rows`."""
 
@@ -103,6 +109,7 @@ def _page(info: RunInfo, flight: ExploredFlight) -> str:
         map=None if flight.occupancy is None else plot_map(flight, flight.occupancy),
         plots=[plot_heights(flight), plot_speed(flight), progress, plot_error(flight)],
         decisions=_decisions(flight),
+        cost_note=cost_note(flight),
         costs=Table("Costs", COST_COLUMNS, costs),
         scores=Table("Scores", ("quantity", "value"), scores),
         open_command=info.open_command,

@@ -85,7 +85,10 @@ def test_decisions_are_in_the_order_of_time_and_on_the_path(flown: Result) -> No
 def test_costs_stand_beside_the_declared_latencies(flown: Result) -> None:
     costs = flown.document["costs"]
     assert [costs[name]["latency_ms"] for name in ("depth", "map", "plan")] == [40.0, 10.0, 150.0]
-    assert all(0.0 < cost["cpu_ms_mean"] < cost["cpu_ms_p99"] for cost in costs.values())
+    stages = [costs[name] for name in ("depth", "map", "plan")]
+    assert all(0.0 < cost["cpu_ms_mean"] < cost["cpu_ms_p99"] for cost in stages)
+    stages_s = 1e-3 * flown.document["plans"] * costs["plan"]["cpu_ms_mean"]
+    assert costs["flight"]["cpu_per_s"] > stages_s / flown.document["time_s"]
 
 
 def test_settings_arrive_and_are_stored(flown: Result) -> None:
@@ -251,6 +254,7 @@ def test_coverage_has_no_goal_and_grows(tmp_path: Path, run_command: Callable[..
     times, shares = np.array(d["coverage"]).T
     assert np.all(np.diff(times) >= 0.99) and shares[-1] > shares[np.searchsorted(times, 14.0)] > 0.0
     assert d["covered_share"] == pytest.approx(shares[-1], abs=0.05)
+    assert "turn to the view" not in [each["what"] for each in d["decisions"]]  # views are taken in passing
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "Coverage over time" in page and "Distance to the goal" not in page
 

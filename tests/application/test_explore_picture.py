@@ -75,12 +75,12 @@ def test_plan_and_route_appear_when_they_are_flown(script: Any, drawing: Any) ->
 
 
 def test_a_moment_is_kept_every_four_tenths_of_a_second(script: Any) -> None:
-    recorder, mapper = script("explore_picture").Recorder(), SimpleNamespace(fused=grid)
+    recorder, pilot = script("explore_picture").Recorder(), SimpleNamespace(mapper=SimpleNamespace(fused=grid))
     for k in range(11):
         t_ns = 100_000_000 * k
         state = NavState(t_ns, np.eye(4), np.array([3.0, 0.0, 4.0]), np.zeros(3), np.zeros(3))
         recorder.frame(CameraFrame(t_ns, (np.full((4, 6), k, np.uint8),)))
-        recorder.depth(SimpleNamespace(t_ns=t_ns), Estimate(t_ns, Health.TRACKING, state, T_map_odom=np.eye(4)), mapper)
+        recorder.depth(SimpleNamespace(t_ns=t_ns), Estimate(t_ns, Health.TRACKING, state, T_map_odom=np.eye(4)), pilot)
     assert [each.t_ns for each in recorder.moments] == [0, 400_000_000, 800_000_000]
     assert [int(each.image[0, 0]) for each in recorder.moments] == [0, 4, 8]
     assert recorder.moments[0].speed_m_s == 5.0

@@ -7,7 +7,7 @@ stays until the next plan.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from math import atan2, hypot, pi, radians
@@ -35,11 +35,11 @@ from dronevio.autonomy.planning.local_plan import (
 )
 from dronevio.autonomy.planning.trajectory import CorridorTrajectory
 from dronevio.autonomy.settings import ExploreSettings
-from dronevio.dense_mapping import DepthListener
 from dronevio.estimator.mapping.dense_mapper import DenseMapper
 from dronevio.estimator.mapping.depth_source import DepthSource, depth_source
 from dronevio.estimator.threads import single_threaded
 from dronevio.models.arrays import Array
+from dronevio.models.depth import DepthImage
 from dronevio.models.imu import ImuSamples
 from dronevio.models.occupancy import OccupancyGrid
 from dronevio.models.protocols import Controller
@@ -54,6 +54,8 @@ from dronevio.sim.world import flight_area
 
 Outcome = Literal["reached", "covered", "unreachable", "lost", "collision", "timeout"]
 """How a flight ends."""
+FlightListener = Callable[[DepthImage, Estimate, "Explorer"], None]
+"""Receives each depth image with its estimate and the pilot, whose map it has entered."""
 
 _CLIMB_M_S = 0.8
 _DESCENT_M_S = 0.5
@@ -67,7 +69,7 @@ _STOP_AFTER_NS, _LAND_AFTER_NS = 300_000_000, 1_000_000_000  # without depth; la
 _ROUTE_NS = 1_000_000_000  # between two routes
 _CHECK_NS = 25_000_000  # between the points of a trajectory whose clearance is checked: half a cell at 2 m/s
 _SINK_M = 0.05  # by which the descent ends below the ground
-_TURNED_RAD = radians(10.0)  # of a view, within which it is taken
+_TAKEN_M, _TURNED_RAD = 0.6, radians(10.0)  # of a view, within which it is taken
 _EARLY_NS = 1_000_000  # by which a plan may be made before it is due, for time stamps that jitter
 
 
@@ -80,7 +82,7 @@ class Explorer:
         longest_s: float,
         settings: ExploreSettings | None = None,
         source: DepthSource | None = None,
-        listeners: Sequence[DepthListener] = (),
+        listeners: Sequence[FlightListener] = (),
     ) -> None:
         """Define a flight.
 
@@ -89,7 +91,7 @@ class Explorer:
             longest_s: Duration after which the flight ends [s].
             settings: Settings.
             source: Source of depth images; by default from the images of the rig.
-            listeners: Receive the depth images while the map grows.
+            listeners: Receive the depth images, and the pilot, while the map grows.
         """
         self._task, self._longest_s, self._source, self._listeners = task, longest_s, source, listeners
         self._settings = settings or ExploreSettings()
@@ -160,15 +162,17 @@ class Explorer:
         """Map a frame, and decide what is flown next."""
         if T_world_odom is None:
             return
+        self.T_world_odom = T_world_odom
         now_ns, before, began = self._course.now_ns, len(self.times.depth), time.process_time()
         with single_threaded():
             depth = self._mapper.add_frame(frame, estimate)
         if depth is not None:
             self._depth_ns = now_ns
             self.times.map.append(1e3 * (time.process_time() - began) - sum(self.times.depth[before:]))
+            began = time.process_time()
             for listener in self._listeners:
-                listener(depth, estimate, self._mapper)
-        self.T_world_odom = T_world_odom
+                listener(depth, estimate, self)
+            self.times.listeners.append(1e3 * (time.process_time() - began))
         if self._ends_ns is None and now_ns >= self._plan_due_ns - _EARLY_NS:
             began = time.process_time()
             with single_threaded():
@@ -213,6 +217,8 @@ class Explorer:
             return
         # The target of the task or, on the way home, the hover above the pad.
         known = cache(lambda: self._known(m))
+        if self._has_taken(m):  # in passing
+            self._leave(m)
         target = self._chosen(m, known()) if self._route.is_due(m.now_ns) else self._target
         self._target = target
         if target is None:
@@ -280,16 +286,22 @@ class Explorer:
             self._turn_back(m)
 
     def _arrive(self, m: Moment, space: LocalSpace, target: Target) -> None:
-        """End the flight at the goal, or land at home; turn to the heading of a view, then take the next."""
+        """End the flight at the goal, land at home, or turn to the heading of a view."""
         if self._is_going_home:
             self._land(m, "home: land")
-            return
-        turn = self._turn(m, _view_rad(m, target))
-        if target.yaw_map_rad is not None and abs(turn.angle_rad) > _TURNED_RAD:
-            self._say("turn to the view")
-            self._follow(m, self._following.halt(m, space), turn)
-        elif not self._leave(m):
+        elif target.yaw_map_rad is None:
             self._end("reached", m)
+        else:
+            self._say("turn to the view")
+            self._follow(m, self._following.halt(m, space), self._turn(m, _view_rad(m, target)))
+
+    def _has_taken(self, m: Moment) -> bool:
+        """Return whether the target is a view, and is seen now."""
+        target = self._target
+        if target is None or target.yaw_map_rad is None:
+            return False
+        apart_m = np.linalg.norm(m.position_map_m - target.position_map_m)
+        return bool(apart_m < _TAKEN_M) and abs(self._turn(m, _view_rad(m, target)).angle_rad) < _TURNED_RAD
 
     def _turn_back(self, m: Moment) -> None:
         """Take the next target; without one go home, since there is no way to the goal; land if there is none home."""

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from dronevio.estimator.mapping.depth_source import DepthSource
 from dronevio.models.arrays import Array
 from dronevio.models.depth import DepthImage
-from dronevio.models.state import CameraFrame, Estimate
+from dronevio.models.state import CameraFrame, Estimate, Trajectory
+from dronevio.sim.closed_loop.frame_source import FrameSource
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,10 @@ class StageTimes:
     """Of each entry in the map."""
     plan: list[float] = field(default_factory=list)
     """Of each plan."""
+    rendering: list[float] = field(default_factory=list)
+    """Of the images of each frame."""
+    listeners: list[float] = field(default_factory=list)
+    """Of the listeners with each depth image."""
 
 
 class TimedDepth:
@@ -58,3 +63,22 @@ class TimedDepth:
         depth = self._source.depth(frame, estimate)
         self._times_ms.append(1e3 * (time.process_time() - began))
         return depth
+
+
+class TimedFrames:
+    """A renderer of frames with the processor time of each; implements `FrameSource`."""
+
+    def __init__(self, source: FrameSource, times_ms: list[float]) -> None:
+        """Wrap a renderer, whose times are appended to a list [ms]."""
+        self._source, self._times_ms = source, times_ms
+
+    def ready_ns(self, exposed_ns: int) -> int:
+        """Return the time from which a frame can be rendered [ns]."""
+        return self._source.ready_ns(exposed_ns)
+
+    def frame(self, t_ns: int, exposed_ns: int, lit: bool, truth: Trajectory) -> CameraFrame:
+        """Return a frame."""
+        began = time.process_time()
+        frame = self._source.frame(t_ns, exposed_ns, lit, truth)
+        self._times_ms.append(1e3 * (time.process_time() - began))
+        return frame

@@ -531,10 +531,10 @@ DRIFT_M = 0.004  # after one metre
 moments: list[tuple[int, OccupancyGrid]] = []
 
 
-def keep(depth, estimate, mapper):
+def keep(depth, estimate, pilot):
     """Keep a slice of the map twice a second."""
     if not moments or depth.t_ns >= moments[-1][0] + 500_000_000:
-        grid = mapper.fused()
+        grid = pilot.mapper.fused()
         moments.append((depth.t_ns, grid))
 
 

@@ -86,6 +86,7 @@ def _print(rows: Sequence[Mapping[str, Any]]) -> None:
     ]
     print_table("Flights to goals through unknown worlds; medians over flights", columns, cells, left=columns[:2])
     _print_coverage(coverage_pairs(rows))
+    _print_costs(rows)
     for row in rows:
         if row["collided"] if is_coverage(row) else not has_reached(row):
             distance_m = row.get("distance_to_goal_m")
@@ -110,6 +111,15 @@ def _print_coverage(pairs: Sequence[CoveragePair]) -> None:
     if cells:
         print_table("Coverage in 60 s", columns, cells, left=columns[:1])
         print(f"median ratio: {median(each.ratio for each in pairs):.2f}")
+
+
+def _print_costs(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print the median processor times of flights with images, except those that ended with an error."""
+    seen = [row for row in rows if "cpu_per_s" in row and "rays" not in GROUPS[row["group"]].options]
+    if seen:
+        planning_s, all_s = (median(row[name] for row in seen) for name in ("planning_cpu_per_s", "cpu_per_s"))
+        print("processor time per second of flight, median over flights with images:", end=" ")
+        print(f"{planning_s:.2f} s for depth, map and plan, {all_s:.2f} s for all but rendering")
 
 
 def _percent(bounds: tuple[float, float]) -> str:

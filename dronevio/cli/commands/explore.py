@@ -2,8 +2,8 @@
 
 import json
 import shlex
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -29,10 +29,9 @@ from dronevio.sim.physics.wind import Wind
 
 if TYPE_CHECKING:
     from dronevio.autonomy.exploration import Exploration
+    from dronevio.autonomy.pilot.explorer import Explorer, FlightListener
     from dronevio.autonomy.settings import ExploreSettings
     from dronevio.cli.progress import Bars
-    from dronevio.dense_mapping import DepthListener
-    from dronevio.estimator.mapping.dense_mapper import DenseMapper
     from dronevio.eval.exploration import ExploredFlight
     from dronevio.eval.provenance import RunInfo
     from dronevio.eval.rerun.exploration import ExplorationLog
@@ -172,12 +171,11 @@ def _flown(
     command: ExploreCommand, scenario: "Scenario", folder: Path, bars: "Bars"
 ) -> "tuple[Exploration, ExploredFlight]":
     """Fly, and write the rerun file; return the flight, also as reports show it."""
-    import numpy as np
-
     from dronevio.autonomy.exploration import explore, goal_in
     from dronevio.autonomy.explored_flight import explored_flight
     from dronevio.autonomy.ray_sensing import RaySensing
-    from dronevio.eval.rerun.exploration import exploration_file
+    from dronevio.cli.commands.view import viewer_process
+    from dronevio.eval.rerun.exploration import exploration_file, exploration_viewer
     from dronevio.recording.surroundings import surroundings_of
     from dronevio.sim.world import flight_area
 
@@ -186,9 +184,11 @@ def _flown(
     surroundings = surroundings_of(scenario.world, scenario.seed_of_world, scenario.light_seed)
     name = f"{scenario.name}, seed {scenario.seed}"
     with ExitStack() as stack:
-        places_m = np.stack([pad_m] if goal_m is None else [pad_m, goal_m])
-        file = stack.enter_context(exploration_file(folder / "run.rrd", name, places_m, has_images=command.images))
-        logs = [file, *stack.enter_context(_viewers(command, name))]
+        has_images = command.images
+        logs = [stack.enter_context(exploration_file(folder / "run.rrd", name, pad_m, goal_m, has_images=has_images))]
+        if command.live:
+            address = stack.enter_context(viewer_process())
+            logs.append(stack.enter_context(exploration_viewer(address, name, pad_m, goal_m, has_images=has_images)))
         exploration = explore(
             scenario,
             None if goal_m is None else goal_m.tolist(),
@@ -209,26 +209,21 @@ def _flown(
     return exploration, flight
 
 
-def _listener(log: "ExplorationLog") -> "DepthListener":
-    """Return what passes depth images to a log."""
+def _listener(log: "ExplorationLog") -> "FlightListener":
+    """Return what passes depth images, plans and decisions to a log."""
+    from dronevio.eval.exploration import TimedDecision
+    from dronevio.models.rotation import inverse_pose
 
-    def listener(depth: "DepthImage", estimate: "Estimate", mapper: "DenseMapper") -> None:
-        log.depth(depth, estimate, lambda: mapper.submaps)
+    def listener(depth: "DepthImage", estimate: "Estimate", pilot: "Explorer") -> None:
+        log.depth(depth, estimate, lambda: pilot.mapper.submaps)
+        if pilot.plans and pilot.T_world_odom is not None:
+            waited_ns = depth.t_ns - pilot.now_ns
+            decisions = [TimedDecision(d.t_ns + waited_ns, d.what, d.position_m) for d in pilot.decisions]
+            plan = pilot.plans[-1]
+            T_map_world = inverse_pose(pilot.T_world_odom)
+            log.under_way(depth.t_ns, T_map_world, plan.positions_m, plan.route_m, decisions)
 
     return listener
-
-
-@contextmanager
-def _viewers(command: ExploreCommand, name: str) -> Iterator["list[ExplorationLog]"]:
-    """Show a live viewer until the context ends, if one is asked for; yield its logs."""
-    if not command.live:
-        yield []
-        return
-    from dronevio.cli.commands.view import viewer_process
-    from dronevio.eval.rerun.exploration import exploration_viewer
-
-    with viewer_process() as address, exploration_viewer(address, name, has_images=command.images) as log:
-        yield [log]
 
 
 def _provenance(
@@ -303,10 +298,11 @@ def _write(
 
 def _print(title: str, flight: "ExploredFlight", target: Path) -> None:
     """Print the figures of a flight, and where its report is."""
-    from dronevio.eval.report.exploration import COST_COLUMNS, cost_rows, score_rows
+    from dronevio.eval.report.exploration import COST_COLUMNS, cost_note, cost_rows, score_rows
 
     print_values(title, [("outcome", flight.outcome, ""), *score_rows(flight.scores)])
     print_table("Processor times beside the latencies of the flight", COST_COLUMNS, cost_rows(flight))
+    print(cost_note(flight))
     if flight.collision is not None:
         print(f"the flight ended early: the drone {flight.collision}")
     print(f"report:   {target}/report.html")

@@ -62,6 +62,7 @@ def flight(grid: OccupancyGrid | None = None, T_world_map: np.ndarray | None = N
             StageCost("depth", 40.0, np.arange(1.0, 102.0)),
             StageCost("plan", 100.0, np.zeros(0)),
         ),
+        cpu_per_s=0.75,
         speed_limit_m_s=2.0,
         heights_m=(0.5, 2.0),
         true_map=OccupancyGrid(np.zeros(3), CELL_M, np.full((30, 20, 20), FREE, np.uint8), "map"),
