@@ -466,6 +466,19 @@ def test_what_was_given_up_blocks_until_it_is_seen_to_be_free() -> None:
     assert isinstance(through, Route) and through.length_m < 4.1
 
 
+@pytest.mark.parametrize("far", [[1000.0, 500.0], [-1000.0, 3.0], [3.0, 1000.0]])
+def test_path_to_a_far_goal_is_sought_nearby_and_then_straight(far: list[float]) -> None:
+    start, goal = np.array([1.0, 3.0, 1.2]), np.array([*far, 1.2])
+    found = path_to_goal(walled_map(None), start, goal, BODY, (0.5, 2.0), np.zeros((0, 3)))
+    assert isinstance(found, Route) and found.expansions < 1e5
+    np.testing.assert_array_equal(found.waypoints[[0, -1]], [start, goal])
+    assert found.length_m < 1.01 * np.linalg.norm(goal - start)
+    near = sampled(found.waypoints, start, 8.0)
+    assert walled_map(None).at(near[walled_map(None).at(near) != UNKNOWN]).max(initial=FREE) == FREE
+    above = path_to_goal(walled_map(None), start, goal + [0.0, 0.0, 5.0], BODY, (0.5, 2.0), np.zeros((0, 3)))
+    assert isinstance(above, NoRoute) and above.cause == "goal"
+
+
 def test_there_is_no_path_into_a_closed_room() -> None:
     states = np.full((60, 60, 26), FREE, np.uint8)
     states[20:41, 20:41] = OCCUPIED

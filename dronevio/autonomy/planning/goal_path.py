@@ -1,7 +1,7 @@
 """Paths to a goal through a map that is not yet complete: what is unknown is taken as free until it is seen.
 
 Such a path exists unless what was seen separates start and goal. It is flown only as far as it is known to be free;
-what is seen from there changes the map, and the path with it.
+what is seen from there changes the map, and the path with it. Far outside of what is known it is a straight line.
 
 Source: Koenig, Tovey and Smirnov, "Performance bounds for planning in unknown terrain", 2003, for the free-space
 assumption.
@@ -17,6 +17,7 @@ from dronevio.models.arrays import Array
 from dronevio.models.occupancy import FREE, OCCUPIED, OccupancyGrid
 
 _MARGIN_M = 4.0  # of unknown space around all that is known, for detours
+_FAR_M = 15.0  # beyond which a path is not sought, since the search would take long
 _NEAR_M = 0.6  # from a goal within which a place is sought instead
 
 
@@ -33,6 +34,7 @@ def path_to_goal(
         heights_m: Least and greatest z of the path [m].
         given_up: (N, 3) Points of unknown space that could not be seen, and count as occupied [m].
     """
+    far_goal, goal = goal, _within(known, start, goal)
     cell_m, levels = known.cell_m, int(body.half_height_m / known.cell_m + 1e-6)
     ends = np.stack([known.low_m, known.high_m, start, goal])
     low = np.floor((ends.min(axis=0) - _MARGIN_M) / cell_m).astype(np.int64)
@@ -62,6 +64,18 @@ def path_to_goal(
     found = route(grid, distance, within, goal, clearance_m=body.radius_m, near_m=_NEAR_M)
     if isinstance(found, NoRoute) and found.cause == "start":  # closer to a surface than the margin allows
         found = route(grid, distance, within, goal, clearance_m=body.bare_radius_m, near_m=2.0 * _NEAR_M)
-    if isinstance(found, NoRoute) or np.array_equal(within, start):
+    if isinstance(found, NoRoute):
         return found
-    return replace(found, waypoints=np.vstack([start, found.waypoints]))
+    before = np.zeros((0, 3)) if np.array_equal(within, start) else start[None]
+    beyond = np.zeros((0, 3)) if goal is far_goal else far_goal[None]
+    return replace(found, waypoints=np.concatenate([before, found.waypoints, beyond]))
+
+
+def _within(known: OccupancyGrid, start: Array, goal: Array) -> Array:
+    """Return a goal (3,), or the place at its height where the way to it leaves what is known and its surroundings."""
+    low = np.minimum(known.low_m, start)[:2] - _FAR_M
+    high = np.maximum(known.high_m, start)[:2] + _FAR_M
+    way = (goal - start)[:2]
+    room = np.where(way > 0.0, high - start[:2], start[:2] - low)
+    share = np.min(room / np.maximum(np.abs(way), 1e-9))
+    return goal if share >= 1.0 else np.append(start[:2] + share * way, goal[2])
