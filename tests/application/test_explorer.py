@@ -538,6 +538,41 @@ def test_without_light_the_vehicle_lands_on_observed_floor() -> None:
     assert found.flight.truth.p_world_imu[-1, 2] < 0.3
 
 
+class Lost:
+    """An odometry that is lost from a time on, and believes to be higher and higher; implements `Estimator`."""
+
+    def __init__(self, odometry: DriftingOdometry, t_ns: int) -> None:
+        self._odometry, self._t_ns = odometry, t_ns
+
+    def add_imu(self, samples: ImuSamples) -> None:
+        self._odometry.add_imu(samples)
+
+    def add_frame(self, frame: CameraFrame) -> Estimate:
+        estimate = self._odometry.add_frame(frame)
+        return replace(estimate, health=Health.LOST) if frame.t_ns >= self._t_ns else estimate
+
+    def state_at(self, t_ns: int) -> NavState | None:
+        state = self._odometry.state_at(t_ns)
+        if state is None:
+            return None
+        T = state.T_world_imu.copy()
+        T[2, 3] += 0.2 * max(t_ns - self._t_ns, 0) * 1e-9
+        return replace(state, T_world_imu=T)
+
+
+def test_a_lost_vehicle_stops_its_rotors_when_it_meets_the_ground() -> None:
+    """By its estimate it is still half a metre high."""
+    scenario = exploration_scenario("room", 0)
+    cameras = RayCameras("room", 0, scenario.rig, 0)
+    pilot = Explorer(ReachGoal(np.array([2.0, -1.5, 1.2])), 40.0, source=cameras)
+    flight = fly_closed_loop(scenario, Lost(DriftingOdometry(cameras, 0), 14 * S), cameras, pilot=pilot)
+    assert pilot.outcome == "lost" and flight.collision is None
+    height_m, t_s = flight.truth.p_world_imu[:, 2], flight.truth.t_s
+    met_s = t_s[np.flatnonzero(height_m > height_m[-1] + 0.05)[-1]]
+    assert height_m.max() > 1.0 and height_m[-1] < 0.2 and t_s[-1] - met_s < 0.5
+    assert flight.reference.position_m[-1, 2] > height_m[-1] + 0.3
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("camera_hz", "imu_hz", "depth_hz"), [(12.0, 100.0, 10.0), (30.0, 400.0, 10.0), (20.0, 200.0, 3.0)]

@@ -69,6 +69,7 @@ _STOP_AFTER_NS, _LAND_AFTER_NS = 300_000_000, 1_000_000_000  # without depth; la
 _ROUTE_NS = 1_000_000_000  # between two routes
 _CHECK_NS = 25_000_000  # between the points of a trajectory whose clearance is checked: half a cell at 2 m/s
 _SINK_M = 0.05  # by which the descent ends below the ground
+_IMPACT_M_S2, _REST_NS = 20.0, 300_000_000  # specific force at the ground, twice that of flight; time after it
 _TAKEN_M, _TURNED_RAD = 0.6, radians(10.0)  # of a view, within which it is taken
 _EARLY_NS = 1_000_000  # by which a plan may be made before it is due, for time stamps that jitter
 
@@ -108,7 +109,7 @@ class Explorer:
         self._margin = RelativeMargin()
         self._plan_due_ns = 0
         self._ends_ns: int | None = None
-        self._is_going_home = False
+        self._is_going_home = self._is_landing = False
 
     @property
     def finished(self) -> bool:
@@ -156,7 +157,9 @@ class Explorer:
         return SE3Controller(course, T_vehicle_imu, quadrotor)
 
     def add_imu(self, samples: ImuSamples) -> None:
-        """Do nothing: the estimates contain what the samples tell."""
+        """Stop the rotors when the vehicle meets the ground, whose height a lost estimate does not know."""
+        if self._is_landing and np.linalg.norm(samples.accel_m_s2, axis=1).max(initial=0.0) > _IMPACT_M_S2:
+            self._stop_rotors(self._course.now_ns)
 
     def add_frame(self, frame: CameraFrame, estimate: Estimate, T_world_odom: Array | None) -> None:
         """Map a frame, and decide what is flown next."""
@@ -359,8 +362,13 @@ class Explorer:
         course, above = self._course, moved(m.T_world_odom, m.position_m)
         down = straight(above, np.append(above[:2], self._stand[2] - _SINK_M), _DESCENT_M_S)
         course.follow(Motion.of(down, self._turn(m, None), m.begins_ns, course.interval_ns))
-        course.stop_rotors(course.decided_until_ns)
-        self._ends_ns = course.decided_until_ns + 300_000_000
+        self._stop_rotors(course.decided_until_ns)
+        self._is_landing = True
+
+    def _stop_rotors(self, t_ns: int) -> None:
+        """Stop the rotors at a time [ns], and end the flight soon after."""
+        self._course.stop_rotors(t_ns)
+        self._ends_ns, self._is_landing = t_ns + _REST_NS, False
 
     def _turn(self, m: Moment, toward_rad: float | None) -> Turn:
         """Return the turn toward a heading in the odometry frame, or to rest."""
