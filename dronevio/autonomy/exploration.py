@@ -106,7 +106,7 @@ class Exploration:
     times: StageTimes
     """Processor times of depth, map and plan."""
     cpu_s: float
-    """Processor time of the flight, of physics, estimator, pilot and controller, but without rendering [s]."""
+    """Processor time of physics, estimator with its map, pilot and controller, but not of rendering [s]."""
     settings: ExploreSettings
     """Settings of the flight."""
     waited_ns: int
@@ -241,6 +241,7 @@ def _flown(
     cpu_s = time.process_time() - began - 1e-3 * sum(pilot.times.rendering + pilot.times.listeners)
     run = estimator.run
     if isinstance(sensing.estimator, VisualSlam):
+        cpu_s += sensing.estimator.map_cost.worker_cpu_s
         run = replace(run, map=sensing.estimator.final_map())
     mapper = pilot.mapper
     T_world_map = np.eye(4) if pilot.T_world_odom is None else pilot.T_world_odom
