@@ -164,6 +164,7 @@ def sfm(
     workspace: str | Path | None = None,
     add_to: Reconstruction | str | Path | None = None,
     poses: KnownPoses | str | Path | None = None,
+    strict: bool = False,
 ) -> SfmResult:
     """Reconstruct cameras and points from images alone (structure from motion).
 
@@ -175,12 +176,13 @@ def sfm(
             other images are added to it, and its world frame and scale stay.
         poses: Known poses of images, or the path of a trajectory of the IMU or of a model of COLMAP, whose poses are
             exact; they determine the world frame and the scale.
+        strict: Whether a file that looks like an image but cannot be used is an error, and not only left out.
 
     Returns:
         The reconstructions, one for each component, and the numbers of features and matches.
 
     Raises:
-        InputError: The path holds no images, or an image cannot be read.
+        InputError: The path holds no images, or one of them cannot be used and `strict` is set.
         ConfigError: The earlier reconstruction contradicts the images, or has all of them.
     """
     opened = images if isinstance(images, ImageSet) else open_images(images)
@@ -188,10 +190,18 @@ def sfm(
     if isinstance(poses, str | Path):
         poses = read_poses(Path(poses), opened)
     if add_to is None:
-        return reconstruct(opened, config, kept, poses=poses)
+        return reconstruct(opened, config, kept, poses=poses, strict=strict)
     earlier = EarlierResult(add_to) if isinstance(add_to, Reconstruction) else read_earlier(Path(add_to))
     opened = with_earlier(opened, earlier.reconstruction.image_names, opened, is_one_source=True)
-    return reconstruct(opened, config, kept, earlier=earlier.reconstruction, earlier_world=earlier.world, poses=poses)
+    return reconstruct(
+        opened,
+        config,
+        kept,
+        earlier=earlier.reconstruction,
+        earlier_world=earlier.world,
+        poses=poses,
+        strict=strict,
+    )
 
 
 def dense(

@@ -51,6 +51,10 @@ class Features:
         return np.asarray(np.exp(np.round(8.0 * np.log(sigmas)) / 8.0))
 
 
+NO_FEATURES = Features(np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.uint8), np.empty((0, 3), np.uint8))
+"""Features of an image without any."""
+
+
 def detect_features(
     image: npt.NDArray[np.uint8], config: FeatureConfig, mask: npt.NDArray[np.bool_] | None = None
 ) -> Features:
@@ -70,8 +74,7 @@ def detect_features(
     )
     keypoints, described = detector.detectAndCompute(grey, None if mask is None else mask.astype(np.uint8))
     if not keypoints:
-        empty = np.empty((0, 2))
-        return Features(empty, np.empty(0), np.empty((0, 128), np.uint8), np.empty((0, 3), np.uint8))
+        return NO_FEATURES
     # Keypoints of one position have several orientations: an order without ties keeps the result deterministic.
     pixels = np.asarray(cv2.KeyPoint.convert(keypoints), np.float64)
     sizes = np.array([keypoint.size for keypoint in keypoints])

@@ -5,9 +5,9 @@ Source: Dellaert and Hutchinson, *Introduction to Robotics and Perception*, sect
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 
 import numpy as np
@@ -17,7 +17,7 @@ from dronevio.estimator.array_store import digest
 from dronevio.estimator.sfm.completion import add_observations, merge_tracks
 from dronevio.estimator.sfm.config import SfmConfig
 from dronevio.estimator.sfm.earlier import earlier_cameras, earlier_images, earlier_pairs, shared_points
-from dronevio.estimator.sfm.features import Features, detect_features
+from dronevio.estimator.sfm.features import NO_FEATURES, Features, detect_features
 from dronevio.estimator.sfm.focal import guess_fisheyes
 from dronevio.estimator.sfm.mapper import finish, map_scene
 from dronevio.estimator.sfm.matching import match_features
@@ -29,7 +29,7 @@ from dronevio.estimator.sfm.tracks import MatchedPair, connect_tracks
 from dronevio.estimator.sfm.two_view import TwoView, verify, view_of
 from dronevio.estimator.sfm.workspace import Workspace
 from dronevio.estimator.threads import map_with_progress, single_threaded
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.progress import Progress, Stages, silent_stages
 from dronevio.models.reconstruction import Reconstruction
@@ -51,6 +51,8 @@ class SfmResult:
     """Elapsed time of each stage [s]."""
     worlds: tuple[WorldFrame, ...]
     """How the world frame of each reconstruction is determined."""
+    unreadable: Mapping[int, InputError] = field(default_factory=dict)
+    """Why an image, or its mask, cannot be read, by the index of the image."""
 
     @property
     def is_metric(self) -> bool:
@@ -68,6 +70,7 @@ def reconstruct(
     earlier: Reconstruction | None = None,
     earlier_world: WorldFrame | None = None,
     poses: KnownPoses | None = None,
+    strict: bool = False,
 ) -> SfmResult:
     """Reconstruct cameras and points from images.
 
@@ -80,13 +83,17 @@ def reconstruct(
             result contains it, in its world frame and scale.
         earlier_world: How the world frame of the earlier reconstruction is determined; None if it is arbitrary.
         poses: Known poses of some of the images, which determine the world frame and the scale of the first component.
+        strict: Whether an image that is skipped or cannot be read is an error; otherwise it has no features.
 
     Raises:
-        InputError: An image cannot be read.
+        InputError: An image is skipped or cannot be read, and `strict` is set.
         ConfigError: The earlier reconstruction contradicts the images, or the known poses contradict them.
     """
     config = config or SfmConfig()
     workspace = workspace or Workspace(None)
+    if strict:
+        for error in images.skipped.values():
+            raise error
     _check_known(images, earlier, poses)
     index = np.empty(0, np.int64) if earlier is None else earlier_images(images, earlier)
     if earlier is not None:
@@ -94,7 +101,7 @@ def reconstruct(
     clock = _Clock()
     with ThreadPoolExecutor(config.threads) as pool:
         # Features of all images
-        features, keys = _detect(images, config, workspace, pool, stages("features"))
+        features, keys, unreadable = _detect(images, config, workspace, pool, stages("features"), strict)
         clock.lap("features")
         # Pairs of images that may show the same points; those of earlier images are known
         known = None if earlier is None else earlier_pairs(index, earlier, features)
@@ -131,6 +138,7 @@ def reconstruct(
         np.array([len(f) for f in features], np.int64),
         clock.times_s,
         tuple(world for *_, world in placed),
+        unreadable,
     )
 
 
@@ -151,12 +159,24 @@ def _match_counts(pairs: Sequence[TwoView], count: int, shared: Indices | None) 
 
 
 def _detect(
-    images: ImageSet, config: SfmConfig, workspace: Workspace, pool: ThreadPoolExecutor, progress: Progress
-) -> tuple[list[Features], list[str]]:
-    """Return the features of each image, and the hashes of what they depend on."""
+    images: ImageSet,
+    config: SfmConfig,
+    workspace: Workspace,
+    pool: ThreadPoolExecutor,
+    progress: Progress,
+    strict: bool,
+) -> tuple[list[Features], list[str], dict[int, InputError]]:
+    """Return the features of each image, the hashes of what they depend on, and why images cannot be read."""
+    unreadable: dict[int, InputError] = {}
 
     def detect(index: int) -> tuple[Features, str]:
-        image, mask = images.read(index), images.read_mask(index)
+        try:
+            image, mask = images.read(index), images.read_mask(index)
+        except InputError as error:
+            if strict:
+                raise
+            unreadable[index] = error
+            return NO_FEATURES, digest("unreadable")
         key = digest(image, image.shape, mask, config.features)
         features = workspace.load_features(index, key)
         if features is None:
@@ -165,7 +185,7 @@ def _detect(
         return features, key
 
     detected = map_with_progress(pool, detect, range(len(images.names)), progress)
-    return [features for features, _ in detected], [key for _, key in detected]
+    return [features for features, _ in detected], [key for _, key in detected], dict(sorted(unreadable.items()))
 
 
 def _chosen_pairs(

@@ -14,6 +14,7 @@ from dronevio.models.image_sets.image_set import FocalSource, ImageSet, Indices
 from dronevio.models.image_sets.intrinsics import initial_camera
 from dronevio.models.image_sets.masks import find_masks
 from dronevio.models.image_sets.photos import (
+    OTHER_SUFFIXES,
     PHOTO_SUFFIXES,
     PhotoHeader,
     read_photo,
@@ -24,6 +25,8 @@ from dronevio.models.lenses.lens import LensName
 
 CameraSharing = Literal["shared", "per-image"]
 """Whether images of the same size with the same EXIF data of camera and lens share a camera, or each has its own."""
+
+_EXPECTED = f"a folder of images ({', '.join(PHOTO_SUFFIXES)})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +63,8 @@ def image_folder(
     """Return the images in a folder and its subfolders, in natural order of their names.
 
     Hidden files and the folder of the masks are left out. Sizes and EXIF data are read at once, pixels on request.
+    Files that look like images but cannot be read, or have another size than the calibration, are in
+    `ImageSet.skipped`.
 
     Args:
         path: The folder.
@@ -71,8 +76,8 @@ def image_folder(
         lens: Lens model without a calibration: ``radtan``, a pinhole, or ``equidistant``, a fisheye.
 
     Raises:
-        InputError: The folder does not exist or has no images, a file is not an image, an image has another size than
-            the calibration, or the masks are missing or in the same folder.
+        InputError: The folder does not exist or has no image that can be used, or the masks are missing or in the same
+            folder.
         ConfigError: A calibration is given for ``per-image`` cameras.
     """
     if camera not in get_args(CameraSharing):
@@ -80,13 +85,20 @@ def image_folder(
     if model is not None and camera == "per-image":
         raise ConfigError("a calibration for per-image cameras; expected one shared camera")
     folder, mask_path = Path(path), Path(masks) if masks is not None else None
-    names = find_photos(folder, mask_path)
+    names, skipped = find_photos(folder, mask_path)
+    headers_by_name: dict[str, PhotoHeader] = {}
+    for name in names:
+        try:
+            headers_by_name[name] = _usable_header(folder / name, model)
+        except InputError as error:
+            skipped[name] = error
+    if not headers_by_name:
+        raise next(iter(skipped.values()))
+    names, headers = tuple(headers_by_name), list(headers_by_name.values())
     files = tuple(folder / name for name in names)
-    headers = [read_photo_header(file) for file in files]
     if model is None:
         image_camera, cameras, sources = _initial_cameras(headers, camera, lens)
     else:
-        _check_sizes(files, headers, model)
         image_camera, cameras, sources = np.zeros(len(files), np.int64), (model,), ("calibration",)
     return ImageSet(
         names=names,
@@ -100,39 +112,63 @@ def image_folder(
         read=PhotoFiles(files, image_camera, cameras, _significant_bits(files, headers)),
         read_mask=find_masks(mask_path, names, image_camera, cameras),
         focal_source=sources,
+        skipped=skipped,
     )
 
 
-def find_photos(folder: Path, masks: Path | None = None) -> tuple[str, ...]:
+def find_photos(folder: Path, masks: Path | None = None) -> tuple[tuple[str, ...], dict[str, InputError]]:
     """Return the paths of the images below a folder, relative to it and in natural order.
 
     Args:
         folder: The folder.
         masks: A file or folder to leave out.
 
+    Returns:
+        The paths, and those of other files that look like images, each with the reason why it is none.
+
     Raises:
-        InputError: The folder does not exist or has no images, or it is within the folder of the masks.
+        InputError: The folder does not exist or has no files that look like images, or it is within the folder of the
+            masks.
     """
-    expected = f"a folder of images ({', '.join(PHOTO_SUFFIXES)})"
     if not folder.exists():
-        raise InputError(folder, "no such folder", expected)
+        raise InputError(folder, "no such folder", _EXPECTED)
     if not folder.is_dir():
-        raise InputError(folder, "a file", expected)
+        raise InputError(folder, "a file", _EXPECTED)
     left_out = masks.resolve() if masks is not None else None
     if left_out is not None and folder.resolve().is_relative_to(left_out):
         raise InputError(left_out, "a folder that contains the images", "a separate folder of masks")
-    names = []
+    names, others = [], dict[str, InputError]()
     for file in folder.rglob("*"):
-        name = PurePosixPath(file.relative_to(folder).as_posix())
-        if file.suffix.lower() not in PHOTO_SUFFIXES or any(part.startswith(".") for part in name.parts):
+        name, suffix = PurePosixPath(file.relative_to(folder).as_posix()), file.suffix.lower()
+        if suffix not in (*PHOTO_SUFFIXES, *OTHER_SUFFIXES) or any(part.startswith(".") for part in name.parts):
             continue
-        if left_out is not None and file.resolve().is_relative_to(left_out):
+        if file.is_dir() or (left_out is not None and file.resolve().is_relative_to(left_out)):
             continue
-        if file.is_file():
+        if suffix in OTHER_SUFFIXES:
+            others[str(name)] = InputError(file, "a format that is not read", f"one of {', '.join(PHOTO_SUFFIXES)}")
+        elif file.is_symlink() and not file.exists():
+            others[str(name)] = InputError(file, "a link to a file that does not exist", "an image")
+        else:
             names.append(str(name))
-    if not names:
-        raise InputError(folder, "a folder without images", expected)
-    return tuple(sorted(names, key=natural_key))
+    if not names and not others:
+        raise InputError(folder, "a folder without images", _EXPECTED)
+    return tuple(sorted(names, key=natural_key)), others
+
+
+def _usable_header(file: Path, model: CameraModel | None) -> PhotoHeader:
+    """Return the size and the EXIF data of an image.
+
+    Raises:
+        InputError: It is none, or has another size than the calibration.
+    """
+    header = read_photo_header(file)
+    if model is not None and (header.width, header.height) != (model.width, model.height):
+        raise InputError(
+            file,
+            f"an image of {header.width} × {header.height} px",
+            f"{model.width} × {model.height} px as in the calibration",
+        )
+    return header
 
 
 def natural_key(name: str) -> tuple[tuple[tuple[str | int, ...], ...], str]:
@@ -162,14 +198,3 @@ def _significant_bits(files: tuple[Path, ...], headers: list[PhotoHeader]) -> tu
         groups.setdefault(header, []).append(file)
     bits = {header: significant_bits_of_photos(group) if header.is_deep else 8 for header, group in groups.items()}
     return tuple(bits[header] for header in headers)
-
-
-def _check_sizes(files: tuple[Path, ...], headers: list[PhotoHeader], model: CameraModel) -> None:
-    """Raise InputError if an image has another size than the calibration."""
-    for file, header in zip(files, headers, strict=True):
-        if (header.width, header.height) != (model.width, model.height):
-            raise InputError(
-                file,
-                f"an image of {header.width} × {header.height} px",
-                f"{model.width} × {model.height} px as in the calibration",
-            )

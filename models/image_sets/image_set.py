@@ -1,7 +1,7 @@
 """Set of images of a scene with their cameras, the input of structure from motion."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from dronevio.models.arrays import Array, Image, Mask
 from dronevio.models.camera import CameraModel
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuModel, ImuSamples, Times
 
 Indices = npt.NDArray[np.int64]
@@ -64,6 +64,8 @@ class ImageSet:
     """(K,) Source of the focal length of each camera, empty if it is unknown."""
     inertial: InertialData | None = None
     """Measurements of the IMU during the images, None without any."""
+    skipped: Mapping[str, InputError] = field(default_factory=dict)
+    """Why files that look like images are not among them, by their names."""
 
     def __post_init__(self) -> None:
         """Check shapes, indices and names.

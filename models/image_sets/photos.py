@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -25,13 +26,23 @@ if TYPE_CHECKING:
     from PIL import Image as PillowImage
     from PIL.ImageFile import ImageFile
 
-PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
+PHOTO_SUFFIXES = (
+    ".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".avif", ".heic", ".heif", ".pgm", ".ppm"
+)  # fmt: skip
 """Suffixes of image files, in lower case."""
+OTHER_SUFFIXES = (
+    ".gif", ".jp2", ".jxl", ".psd", ".exr", ".hdr", ".tga", ".dng", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".orf",
+    ".rw2", ".raf", ".pef", ".srw", ".insp"
+)  # fmt: skip
+"""Suffixes of images that are not read, in lower case."""
+HEIF = ("HEIC, which needs the package pillow-heif", "pip install pillow-heif, or JPEG files")
+"""What is found, and what is expected instead, where images of iPhones cannot be read."""
 
 Result = TypeVar("Result")
 
-_EXPECTED = "an image (JPEG, PNG, TIFF, BMP or WebP)"
-_FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP")
+_EXPECTED = "an image (JPEG, PNG, TIFF, BMP, WebP, AVIF, HEIC or PNM)"
+_FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "AVIF", "PPM")
+_HEIF_SUFFIXES = (".heic", ".heif")
 _ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
 _SIDEWAYS = (5, 6, 7, 8)  # orientations that exchange rows and columns
 
@@ -105,8 +116,12 @@ def _decoded(path: Path, function: "Callable[[ImageFile], Result]") -> Result:
     from PIL import UnidentifiedImageError
 
     _check_size(path)
+    is_heif = path.suffix.lower() in _HEIF_SUFFIXES
+    if is_heif and not _can_read_heif():
+        raise InputError(path, *HEIF)
     try:
-        opened: AbstractContextManager[ImageFile] = PillowImage.open(path, formats=_FORMATS)
+        formats = ("HEIF", *_FORMATS) if is_heif else _FORMATS
+        opened: AbstractContextManager[ImageFile] = PillowImage.open(path, formats=formats)
         with opened as image:
             return function(image)
     except FileNotFoundError:
@@ -115,6 +130,17 @@ def _decoded(path: Path, function: "Callable[[ImageFile], Result]") -> Result:
         raise InputError(path, "a file that is not a supported image", _EXPECTED) from None
     except Exception as error:  # decoders raise many kinds for damaged files
         raise InputError(path, f"an image that cannot be decoded ({error})", _EXPECTED) from None
+
+
+@cache
+def _can_read_heif() -> bool:
+    """Let Pillow read HEIC, if the package for it is installed, and return whether it is."""
+    try:
+        from pillow_heif import register_heif_opener
+    except ImportError:
+        return False
+    register_heif_opener()
+    return True
 
 
 def _check_size(path: Path) -> None:
@@ -139,7 +165,7 @@ def _header(image: "ImageFile") -> PhotoHeader:
 
 def _is_deep(image: "ImageFile") -> bool:
     """Return whether an opened image, not yet loaded, has 16 bits per channel in its file."""
-    return any("16" in str(tile[3]) for tile in image.tile)
+    return image.mode == "I" or any("16" in str(tile[3]) for tile in image.tile)
 
 
 def _exif_tags(image: "PillowImage.Image") -> dict[int, object]:
@@ -177,6 +203,8 @@ def _pixels(image: "ImageFile") -> DeepImage | None:
             return np.ascontiguousarray(deep[..., 2::-1], np.uint16)  # blue, green, red and alpha
     image.load()
     stored: PillowImage.Image = image if inverse is None else image.transpose(inverse)
+    if stored.mode == "I" and image.format == "PPM":  # a PGM of 16 bits
+        return np.asarray(stored).astype(np.uint16)
     if stored.mode in ("I", "F"):
         return None
     if stored.mode.startswith("I;16"):

@@ -76,6 +76,31 @@ def test_the_function_gives_the_same(photographs: Path, reconstructed: Path) -> 
     assert result.image_names == stored.image_names
 
 
+def test_bad_files_are_left_out_and_named(
+    photographs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = tmp_path / "photographs", tmp_path / "villa"
+    folder.mkdir()
+    for number in (1, 2, 3):
+        shutil.copy(photographs / f"BalbianelloMedium-{number}.jpg", folder / f"{number}.jpg")
+    whole = (folder / "1.jpg").read_bytes()
+    (folder / "half.jpg").write_bytes(whole[: len(whole) // 2])
+    (folder / "text.jpg").write_text("a text")
+    assert main(["sfm", str(folder), "--out", str(out), "--json", "--strict"]) == 2
+    assert "text.jpg: a file that is not a supported image" in capsys.readouterr().err and not out.exists()
+    (folder / "text.jpg").rename(folder / "text.gif")
+    assert main(["sfm", str(folder), "--out", str(out), "--json"]) == 0
+    printed = capsys.readouterr()
+    document = json.loads(printed.out)
+    assert set(document["left_out"]) == {"half.jpg", "text.gif"} and document["registered_images"] == 3
+    assert printed.err.count("dronevio: warning:") == 2 and "half.jpg: an image that cannot be decoded" in printed.err
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    assert report["unregistered"] == document["left_out"]
+    (folder / "text.gif").unlink()
+    with pytest.raises(InputError, match="half"):
+        dv.sfm(folder, strict=True)
+
+
 @pytest.mark.slow
 def test_an_interrupted_reconstruction_continues(photographs: Path, tmp_path: Path) -> None:
     first = dv.sfm(photographs, workspace=tmp_path / "work")

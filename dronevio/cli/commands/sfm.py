@@ -13,7 +13,7 @@ import tyro
 from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
 from dronevio.cli.settings.option_tables import SFM, options_from
-from dronevio.cli.terminal import parse, print_json, print_values, progress_bars
+from dronevio.cli.terminal import parse, print_json, print_values, print_warning, progress_bars
 from dronevio.estimator.sfm.config import SfmConfig
 from dronevio.models.ranges import Range, Settings
 
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from dronevio.models.image_sets import ImageSet
 
 Format = Literal["colmap-binary", "colmap-text", "bundler", "ply"]
+
+MOST_WARNINGS = 5
+"""Number of images that cannot be used of which each has a warning."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,8 @@ class SfmCommand(Settings):
     """Standard deviation of the positions of --poses [m]; 0 for exact poses, which stay fixed."""
     pose_sigma_deg: Annotated[float, Range(low=0.0)] = 0.0
     """Standard deviation of the rotations of --poses [deg]; 0 for exact poses, which stay fixed."""
+    strict: bool = False
+    """Whether files that look like images but cannot be used are an error, and not only left out."""
     output: Output = field(default_factory=OutputOptions)
     """How the result is written and printed."""
     sfm: Annotated[SfmConfig, tyro.conf.arg(name="")] = field(default_factory=SfmConfig, metadata=options_from(SFM))
@@ -121,7 +126,10 @@ def main(arguments: Sequence[str]) -> int:
             earlier=None if earlier is None else earlier.reconstruction,
             earlier_world=None if earlier is None else earlier.world,
             poses=poses,
+            strict=command.strict,
         )
+    left_out = _left_out(images, result)
+    _print_left_out(left_out)
     if not result.reconstructions:
         shutil.rmtree(work, ignore_errors=True)
         raise InputError(
@@ -130,12 +138,12 @@ def main(arguments: Sequence[str]) -> int:
             "images of one scene that overlap, from different positions",
         )
     with atomic_folder(target, command.output.overwrite, mark="report.json") as folder:
-        _write(folder, target, command, arguments, images, result)
+        _write(folder, target, command, arguments, images, result, left_out)
     shutil.rmtree(work, ignore_errors=True)
     if command.output.json:
-        print_json(_summary(target, images, result))
+        print_json(_summary(target, images, result) | {"left_out": left_out})
         return 0
-    _print(target, images, result)
+    _print(target, images, result, left_out)
     return 0
 
 
@@ -175,6 +183,7 @@ def _write(
     arguments: Sequence[str],
     images: "ImageSet",
     result: "SfmResult",
+    left_out: dict[str, str],
 ) -> None:
     """Write the reconstruction, its report and its rerun file."""
     from dronevio import __version__
@@ -202,7 +211,8 @@ def _write(
     results = ReconstructionResults(
         components=result.reconstructions,
         all_image_names=images.names,
-        unregistered={name: _reason(result, i) for i, name in enumerate(images.names) if name not in registered},
+        unregistered={name: _reason(result, i) for i, name in enumerate(images.names) if name not in registered}
+        | left_out,
         times_s=result.times_s,
         match_counts=result.match_counts,
         read_image=read,
@@ -224,6 +234,20 @@ def _reader(images: "ImageSet") -> Callable[[str], Any]:
     """Return a function that reads an image by its name."""
     index = {name: i for i, name in enumerate(images.names)}
     return lambda name: images.read(index[name])
+
+
+def _left_out(images: "ImageSet", result: "SfmResult") -> dict[str, str]:
+    """Return why images are not used: the files that were skipped, and those that could not be decoded."""
+    unreadable = {images.names[i]: str(error) for i, error in result.unreadable.items()}
+    return {name: str(error) for name, error in images.skipped.items()} | unreadable
+
+
+def _print_left_out(left_out: dict[str, str]) -> None:
+    """Print a warning for each of the first images that are not used, and their number."""
+    for reason in list(left_out.values())[:MOST_WARNINGS]:
+        print_warning(reason)
+    if len(left_out) > MOST_WARNINGS:
+        print_warning(f"{len(left_out) - MOST_WARNINGS} more images cannot be used; the report names them")
 
 
 def _reason(result: "SfmResult", image: int) -> str:
@@ -259,7 +283,7 @@ def _world_values(world: "WorldFrame") -> list[tuple[str, str, str]]:
     return [*rows, ("IMU not used", world.note, "")] if world.note else rows
 
 
-def _print(target: Path, images: "ImageSet", result: "SfmResult") -> None:
+def _print(target: Path, images: "ImageSet", result: "SfmResult", left_out: dict[str, str]) -> None:
     from dronevio.eval.metrics.reconstruction import reconstruction_statistics
 
     statistics = reconstruction_statistics(result.reconstructions, len(images.names))
@@ -267,6 +291,7 @@ def _print(target: Path, images: "ImageSet", result: "SfmResult") -> None:
         "Structure from motion",
         (
             ("images registered", f"{statistics.registered_images} of {statistics.images}", ""),
+            *([("files that cannot be used", f"{len(left_out)}", "")] if left_out else []),
             ("components", f"{statistics.components}", ""),
             ("points", f"{statistics.points}", ""),
             ("observations", f"{statistics.observations}", ""),

@@ -105,7 +105,8 @@ class ReconstructionResults:
     def reasons(self) -> dict[str, str | None]:
         """Return the images without a pose, with the reason if it is known."""
         registered = {name for component in self.components for name in component.image_names}
-        return {name: self.unregistered.get(name) for name in self.image_names if name not in registered}
+        unregistered = {name: self.unregistered.get(name) for name in self.image_names if name not in registered}
+        return unregistered | dict(self.unregistered)
 
 
 @dataclass(frozen=True)

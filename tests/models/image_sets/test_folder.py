@@ -1,6 +1,8 @@
 """Folders of photographs: pixels, order, cameras, masks, and the refusal of damaged files."""
 
+import os
 import struct
+import sys
 import zlib
 from pathlib import Path
 
@@ -11,6 +13,7 @@ from PIL import Image as PillowImage
 
 from dronevio.models import CameraModel, ConfigError, InputError, image_folder
 from dronevio.models.arrays import Image
+from dronevio.models.image_sets import photos
 from dronevio.models.image_sets.folder import natural_key
 from dronevio.models.image_sets.photos import read_photo, read_photo_header
 
@@ -200,6 +203,51 @@ def test_each_index_reads_its_file(tmp_path: Path) -> None:
         assert images.read_mask(index) is None
 
 
+def test_files_that_only_look_like_images_are_skipped_and_named(tmp_path: Path) -> None:
+    save(tmp_path / "ü a/image 1.png", noise(18))
+    (tmp_path / "text.jpg").write_text("a text")
+    (tmp_path / "empty.png").write_bytes(b"")
+    (tmp_path / "raw.NEF").write_bytes(b"II*\0")
+    (tmp_path / "link.jpg").symlink_to(tmp_path / "nowhere.jpg")
+    os.mkfifo(tmp_path / "pipe.png")
+    (tmp_path / "folder.jpg").mkdir()
+    (tmp_path / ".hidden.jpg").write_text("a text")
+    (tmp_path / "notes.txt").write_text("a text")
+    images = image_folder(tmp_path)
+    assert images.names == ("ü a/image 1.png",)
+    reasons = {name: str(error) for name, error in images.skipped.items()}
+    assert set(reasons) == {"text.jpg", "empty.png", "raw.NEF", "link.jpg", "pipe.png"}
+    assert all(str(tmp_path / name) in reason and "expected" in reason for name, reason in reasons.items())
+    assert "a format that is not read" in reasons["raw.NEF"] and "does not exist" in reasons["link.jpg"]
+
+
+@pytest.mark.parametrize("suffix", [".heic", ".avif"])
+def test_photographs_of_phones_are_read(tmp_path: Path, suffix: str) -> None:
+    register = pytest.importorskip("pillow_heif").register_heif_opener
+    register()
+    pixels = np.full((48, 64, 3), [200, 100, 50], np.uint8)
+    PillowImage.fromarray(pixels).save(tmp_path / f"a{suffix}", quality=95)
+    image = image_folder(tmp_path).read(0)
+    assert image.shape == pixels.shape and np.abs(image.astype(int) - pixels).max() < 12
+
+
+def test_heic_without_its_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    photos._can_read_heif.cache_clear()
+    save(tmp_path / "a.png", noise(19))
+    (tmp_path / "b.heic").write_bytes(b"\0\0\0\x18ftypheic")
+    skipped = image_folder(tmp_path).skipped
+    photos._can_read_heif.cache_clear()
+    assert "needs the package pillow-heif" in str(skipped["b.heic"])
+
+
+@pytest.mark.parametrize("most", [255, 4095, 65535])
+def test_pgm_is_read(tmp_path: Path, most: int) -> None:
+    grey = np.random.default_rng(0).integers(0, most + 1, (24, 32)).astype(">u2" if most > 255 else np.uint8)
+    (tmp_path / "a.pgm").write_bytes(f"P5 32 24 {most}\n".encode() + grey.tobytes())
+    np.testing.assert_allclose(image_folder(tmp_path).read(0), grey * (255.99 / most), atol=1.0)
+
+
 @pytest.mark.parametrize("found", ["missing", "file", "empty"])
 def test_folders_without_images_are_refused(tmp_path: Path, found: str) -> None:
     path = tmp_path / "images"
@@ -240,10 +288,14 @@ def test_a_calibration_is_shared_by_all_images(tmp_path: Path) -> None:
     assert images.image_camera.tolist() == [0, 0] and images.focal_source == ("calibration",)
 
 
-def test_another_size_than_the_calibration_is_refused(tmp_path: Path) -> None:
+def test_another_size_than_the_calibration_is_skipped(tmp_path: Path) -> None:
     save(tmp_path / "a.png", noise(14))
     save(tmp_path / "b.png", noise(14, 32, 24, 3))
-    with pytest.raises(InputError, match=r"b\.png: an image of 24 × 32 px; expected 32 × 24 px as in the calibration"):
+    images = image_folder(tmp_path, model=MODEL)
+    assert images.names == ("a.png",)
+    assert "b.png: an image of 24 × 32 px; expected 32 × 24 px as in the calibration" in str(images.skipped["b.png"])
+    (tmp_path / "a.png").unlink()
+    with pytest.raises(InputError, match=r"b\.png: an image of 24 × 32 px"):
         image_folder(tmp_path, model=MODEL)
 
 
