@@ -14,6 +14,8 @@ class FeatureConfig(Settings):
     """Largest number of features of an image; those of highest contrast are kept."""
     contrast_threshold: Annotated[float, Range(above=0.0, high=1.0)] = 0.02
     """Smallest contrast of a keypoint, in the scale of OpenCV."""
+    max_side_px: Annotated[int, Range(100, 100_000)] = 3200
+    """Longer side to which an image is reduced before the detection [px]; one of 50 megapixels would take 10 GB."""
 
 
 @dataclass(frozen=True)

@@ -66,6 +66,11 @@ def detect_features(
         mask: (H, W) False where no feature is detected; None for the whole image.
     """
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    (rows, columns), most = grey.shape, max(grey.shape)
+    if most > config.max_side_px:
+        size = tuple(max(round(side * config.max_side_px / most), 1) for side in (columns, rows))
+        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+        mask = None if mask is None else cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) != 0
     detector = cv2.SIFT.create(
         nfeatures=config.max_features,
         contrastThreshold=config.contrast_threshold,
@@ -76,12 +81,13 @@ def detect_features(
     if not keypoints:
         return NO_FEATURES
     # Keypoints of one position have several orientations: an order without ties keeps the result deterministic.
-    pixels = np.asarray(cv2.KeyPoint.convert(keypoints), np.float64)
-    sizes = np.array([keypoint.size for keypoint in keypoints])
+    reduced = np.array([columns, rows]) / grey.shape[::-1]
+    pixels = (np.asarray(cv2.KeyPoint.convert(keypoints), np.float64) + 0.5) * reduced - 0.5
+    sizes = np.array([keypoint.size for keypoint in keypoints]) * reduced.max()
     angles = np.array([keypoint.angle for keypoint in keypoints])
     order = np.lexsort([angles, pixels[:, 0], pixels[:, 1], -sizes])
     column, row = np.round(pixels[order]).astype(int).T
-    colours = image[np.clip(row, 0, grey.shape[0] - 1), np.clip(column, 0, grey.shape[1] - 1)]
+    colours = image[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
     if colours.ndim == 1:
         colours = np.repeat(colours[:, None], 3, axis=1)
     return Features(pixels[order], sizes[order], _root_sift(np.asarray(described, np.float32)[order]), colours)

@@ -72,6 +72,22 @@ def test_settings_change_the_number_of_features() -> None:
     assert len(detect_features(image, FeatureConfig(contrast_threshold=0.005))) > default > 50
 
 
+def test_large_images_are_reduced_and_positions_stay_those_of_the_image() -> None:
+    """An image whose pixels are repeated three times in each direction, reduced by three, is the image."""
+    image = cv2.GaussianBlur(np.random.default_rng(7).integers(0, 256, (90, 120), np.uint8), (0, 0), 1.5)
+    image = cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX)
+    mask = np.ones(image.shape, bool)
+    mask[:, :60] = False
+    small = detect_features(image, FeatureConfig(), mask)
+    repeated, wide = (np.kron(each, np.ones((3, 3), each.dtype)) for each in (image, mask))
+    large = detect_features(repeated, FeatureConfig(max_side_px=120), wide)
+    np.testing.assert_allclose(large.pixels, 3.0 * (small.pixels + 0.5) - 0.5, atol=1e-9)
+    np.testing.assert_allclose(large.sizes_px, 3.0 * small.sizes_px)
+    np.testing.assert_array_equal(large.descriptors, small.descriptors)
+    np.testing.assert_array_equal(large.colours, small.colours)
+    assert len(large) > 20 and large.pixels[:, 0].min() > 170.0
+
+
 def test_no_feature_is_matched_twice(scene: "SyntheticScene") -> None:
     matches = match_features(doubled(scene.features[0]), scene.features[1], MatchingConfig())
     assert len(matches) > 100
