@@ -55,12 +55,15 @@ def read_reconstruction(path: Path | str) -> Reconstruction:
     raise InputError(path, "a file of another format", _EXPECTED)
 
 
-def check_cameras(cameras: Sequence[CameraModel], format: ReconstructionFormat) -> None:
-    """Check that a format can represent cameras.
+def check_format(format: ReconstructionFormat, cameras: Sequence[CameraModel], names: Sequence[str] = ()) -> None:
+    """Check that a format can represent cameras and the names of images.
 
     Raises:
-        ConfigError: The format does not have the lens of a camera, or restricts its parameters.
+        ConfigError: The format does not have the lens of a camera, restricts its parameters, or has no spaces in names.
     """
+    spaced = next((name for name in names if len(name.split()) != 1), None)
+    if spaced is not None and format in ("bundler", "colmap-text"):
+        raise ConfigError(f"{format}: the image {spaced!r}; expected a name without spaces, or --format colmap-binary")
     for index, camera in enumerate(cameras):
         if format in ("colmap-text", "colmap-binary"):
             camera_to_colmap(camera)

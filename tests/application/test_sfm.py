@@ -14,6 +14,7 @@ import pytest
 
 import dronevio as dv
 from dronevio.cli import main
+from dronevio.estimator.sfm.workspace import Workspace
 from dronevio.eval.metrics.alignment import umeyama
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
@@ -143,6 +144,20 @@ def test_formats_without_the_lens_are_refused_at_once(
     assert expected in capsys.readouterr().err
     assert main([*command, "--out", str(tmp_path / "out"), "--format", "ply"]) == 2
     assert "the reconstruction was started" in capsys.readouterr().err
+
+
+def test_finished_steps_are_kept_after_an_interruption_and_their_folder_is_named(
+    photographs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(images: object, config: object, workspace: Workspace, *_: object, **__: object) -> None:
+        assert workspace.folder is not None
+        workspace.folder.mkdir()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dronevio.estimator.sfm.pipeline.reconstruct", interrupted)
+    assert main(["sfm", str(photographs), "--out", str(tmp_path / "villa")]) == 130
+    assert f"kept in {tmp_path / '.villa.work'}; the same command continues" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == [".villa.work"]
 
 
 def test_an_existing_result_is_not_replaced(photographs: Path, reconstructed: Path, tmp_path: Path) -> None:

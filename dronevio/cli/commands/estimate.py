@@ -219,7 +219,7 @@ def main(arguments: Sequence[str]) -> int:
     command = parse(EstimateCommand, arguments, "estimate")
 
     from dronevio.models.errors import ConfigError, EvaluationError
-    from dronevio.models.reconstructions.formats import check_cameras
+    from dronevio.models.reconstructions.formats import check_format
 
     check_map_options(command)
     check_places(command)  # before the estimator runs
@@ -228,7 +228,7 @@ def main(arguments: Sequence[str]) -> int:
     for each in commands[1:]:
         check_places(each)
     if command.save_colmap is not None:
-        check_cameras([camera.model for camera in segments[0].rig.cameras], "colmap-binary")
+        check_format("colmap-binary", [camera.model for camera in segments[0].rig.cameras])
     summaries: list[dict[str, Any]] = []
     for of_segment, segment in zip(commands, segments, strict=True):
         try:

@@ -3,7 +3,9 @@
 import math
 import shlex
 import shutil
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -102,42 +104,44 @@ def main(arguments: Sequence[str]) -> int:
     command = parse(SfmCommand, arguments, "sfm")
 
     from dronevio.cli.output_files import atomic_folder, require_free
+    from dronevio.estimator.sfm.earlier import earlier_cameras
     from dronevio.estimator.sfm.pipeline import reconstruct
     from dronevio.estimator.sfm.workspace import Workspace
     from dronevio.models.errors import InputError
-    from dronevio.models.reconstructions.formats import check_cameras
+    from dronevio.models.reconstructions.formats import check_format
     from dronevio.sfm_inputs import read_earlier, read_poses
 
     target = command.out or Path("runs") / f"sfm-{command.images.resolve().stem}"
     require_free(target, command.output.overwrite)  # before the images are read
     earlier = None if command.add_to is None else read_earlier(command.add_to)
     images = _open(command, () if earlier is None else earlier.reconstruction.image_names)
+    cameras = images.cameras if earlier is None else earlier_cameras(images, earlier.reconstruction)
     for kind in command.format:  # before the reconstruction, which may take hours
-        check_cameras(images.cameras, kind)
+        check_format(kind, cameras, images.names)
     sigmas = command.pose_sigma_m, math.radians(command.pose_sigma_deg)
     poses = None if command.poses is None else read_poses(command.poses, images, command.poses_of, *sigmas)
     work = target.absolute().with_name(f".{target.name}.work")
-    with progress_bars(quiet=command.output.json) as bars:
-        result = reconstruct(
-            images,
-            command.sfm,
-            Workspace(work),
-            bars.bar,
-            earlier=None if earlier is None else earlier.reconstruction,
-            earlier_world=None if earlier is None else earlier.world,
-            poses=poses,
-            strict=command.strict,
-        )
-    left_out = _left_out(images, result)
-    _print_left_out(left_out)
-    if not result.reconstructions:
-        shutil.rmtree(work, ignore_errors=True)
-        raise InputError(
-            command.images,
-            f"{len(images.names)} images, no two of which determine the motion of a camera",
-            "images of one scene that overlap, from different positions",
-        )
-    with atomic_folder(target, command.output.overwrite, mark="report.json") as folder:
+    with _kept(work), atomic_folder(target, command.output.overwrite, mark="report.json") as folder:
+        with progress_bars(quiet=command.output.json) as bars:
+            result = reconstruct(
+                images,
+                command.sfm,
+                Workspace(work),
+                bars.bar,
+                earlier=None if earlier is None else earlier.reconstruction,
+                earlier_world=None if earlier is None else earlier.world,
+                poses=poses,
+                strict=command.strict,
+            )
+        left_out = _left_out(images, result)
+        _print_left_out(left_out)
+        if not result.reconstructions:
+            shutil.rmtree(work, ignore_errors=True)
+            raise InputError(
+                command.images,
+                f"{len(images.names)} images, no two of which determine the motion of a camera",
+                "images of one scene that overlap, from different positions",
+            )
         _write(folder, target, command, arguments, images, result, left_out)
     shutil.rmtree(work, ignore_errors=True)
     if command.output.json:
@@ -145,6 +149,17 @@ def main(arguments: Sequence[str]) -> int:
         return 0
     _print(target, images, result, left_out)
     return 0
+
+
+@contextmanager
+def _kept(work: Path) -> Iterator[None]:
+    """Say where finished steps are kept, if what is within the context fails or is interrupted."""
+    try:
+        yield
+    except BaseException:
+        if work.exists():
+            print(f"dronevio: finished steps are kept in {work}; the same command continues", file=sys.stderr)
+        raise
 
 
 def _open(command: SfmCommand, earlier: tuple[str, ...]) -> "ImageSet":

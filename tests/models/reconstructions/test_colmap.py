@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.lenses.lens import LensName
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.reconstructions import ReconstructionFormat, read_colmap, write_colmap
-from dronevio.models.reconstructions.formats import check_cameras
+from dronevio.models.reconstructions.formats import check_format
 
 Make = Callable[..., Reconstruction]
 Same = Callable[[Reconstruction, Reconstruction], None]
@@ -102,8 +103,18 @@ def test_lenses_that_a_format_does_not_have_are_refused(
 ) -> None:
     model = CameraModel(640, 480, 500.0, 500.0, 319.5, 239.5, distortion, lens)
     with pytest.raises(ConfigError, match=f"lens {lens}; expected"):
-        check_cameras([model], format)
-    check_cameras([model], "ply")  # has no cameras
+        check_format(format, [model])
+    check_format("ply", [model])  # has no cameras
+
+
+@pytest.mark.parametrize(
+    ("format", "has_spaces"), [("colmap-text", False), ("bundler", False), ("colmap-binary", True)]
+)
+def test_formats_without_spaces_in_names_refuse_them(format: ReconstructionFormat, has_spaces: bool) -> None:
+    model = CameraModel(640, 480, 500.0, 500.0, 319.5, 239.5)
+    check_format(format, [model], ["a/b.jpg"])
+    with nullcontext() if has_spaces else pytest.raises(ConfigError, match=r"the image 'a b\.jpg'; expected a name"):
+        check_format(format, [model], ["a.jpg", "a b.jpg"])
 
 
 def test_pixels_are_written_half_a_pixel_further(tmp_path: Path, scene: Make) -> None:
