@@ -6,10 +6,9 @@ that has not reached its goal, or has seen nothing.
 """
 
 import json
-import multiprocessing
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field, replace
+from multiprocessing.pool import ThreadPool
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
+from dronevio.eval.benchmark.isolation import call_in_process
 from dronevio.models.errors import InputError
 from dronevio.models.progress import Progress, silent
 
@@ -115,25 +115,21 @@ def fly(key: FlightKey) -> dict[str, Any]:
         settings = replace(settings, views=options["views"])
     covers = "views" in options
     rays = RaySensing(**options["rays"]) if "rays" in options else None
-    row: dict[str, Any] = {**asdict(key)}
-    try:
-        found = explore(
-            scenario,
-            None if covers else tuple(drawn_goal(key.world, key.seed, key.seed, settings.body)),
-            task="cover" if covers else "reach",
-            longest_s=_COVER_S if covers else LONGEST_S,
-            settings=settings,
-            slam=options.get("slam", True),
-            true_pose=options.get("true_pose", False),
-            without_images=rays,
-        )
-    except Exception as error:  # a row with its reason, which counts as a failure
-        return {**row, "outcome": "error", "collided": False, "reason": f"{type(error).__name__}: {error}"}
+    found = explore(
+        scenario,
+        None if covers else tuple(drawn_goal(key.world, key.seed, key.seed, settings.body)),
+        task="cover" if covers else "reach",
+        longest_s=_COVER_S if covers else LONGEST_S,
+        settings=settings,
+        slam=options.get("slam", True),
+        true_pose=options.get("true_pose", False),
+        without_images=rays,
+    )
     stages = {name: values for name, values in vars(found.times).items() if values}
     cpu_s = sum(sum(values) for values in stages.values()) * 1e-3
     last = found.decisions[-1].what if found.decisions else ""
     return {
-        **row,
+        **asdict(key),
         **asdict(found.scores),
         "reason": str(found.flight.collision) if found.flight.collision else last,
         "planning_cpu_per_s": cpu_s / found.scores.time_s,
@@ -186,13 +182,17 @@ def run_suite(
 
 
 def _flown(missing: Sequence[FlightKey], workers: int) -> Iterator[dict[str, Any]]:
-    """Fly in processes, and yield the rows as flights end."""
-    if not missing:
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, max_tasks_per_child=4) as pool:
-        for future in as_completed([pool.submit(fly, key) for key in missing]):
-            yield future.result()
+    """Fly, each flight in a process of its own, and yield the rows as flights end; the threads only wait."""
+    with ThreadPool(workers) as threads:
+        yield from threads.imap_unordered(_flown_apart, missing)
+
+
+def _flown_apart(key: FlightKey) -> dict[str, Any]:
+    """Fly in another process; return a row with the reason if it fails, which counts as a failure of the flight."""
+    outcome = call_in_process(fly, key)
+    if outcome.status == "ok":
+        return dict(outcome.value)
+    return {**asdict(key), "outcome": "error", "collided": False, "reason": outcome.reason}
 
 
 def _key(row: Mapping[str, Any]) -> FlightKey:

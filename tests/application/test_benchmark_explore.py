@@ -102,6 +102,15 @@ def test_suite_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert read_rows(tmp_path) == rows
 
 
+def test_flights_are_processes_of_their_own_and_a_failure_is_a_row() -> None:
+    """There are no such worlds; more flights than workers, of which none is left out."""
+    keys_ = [FlightKey("rays", f"attic-{number}", 1) for number in range(3)]
+    rows = {each["world"]: each for each in exploration._flown(keys_, 2)}
+    assert set(rows) == {key.world for key in keys_}
+    assert all(each["outcome"] == "error" and "'attic-" in each["reason"] for each in rows.values())
+    assert summaries(list(rows.values()))[0].reached == 0
+
+
 def test_wrong_results_are_named(tmp_path: Path) -> None:
     (tmp_path / RESULTS_FILE).write_text(json.dumps(row(0)) + "\n{}\n")
     with pytest.raises(InputError, match=r"flights.jsonl:2: no flight of the suite"):
