@@ -29,6 +29,7 @@ _WORLDS = ("room", "forest", "warehouse", "corridor", "office")
 _COVERED = ("office", "forest", "warehouse")
 _COVER_S = 60.0
 _FIRST = 1000
+_STAGES = ("depth", "map", "plan")
 _TWICE = {"drift_m_per_sqrt_m": 0.008, "yaw_drift_rad_per_sqrt_m": 0.002}
 _PERFECT = {"depth_sigma_per_m": 1e-4, "drift_m_per_sqrt_m": 0.0, "yaw_drift_rad_per_sqrt_m": 0.0}
 
@@ -125,14 +126,14 @@ def fly(key: FlightKey) -> dict[str, Any]:
         true_pose=options.get("true_pose", False),
         without_images=rays,
     )
-    stages = {name: values for name, values in vars(found.times).items() if values}
-    cpu_s = sum(sum(values) for values in stages.values()) * 1e-3
+    stages = {name: getattr(found.times, name) for name in _STAGES if getattr(found.times, name)}
+    planning_s = sum(sum(values) for values in stages.values()) * 1e-3
     last = found.decisions[-1].what if found.decisions else ""
     return {
         **asdict(key),
         **asdict(found.scores),
         "reason": str(found.flight.collision) if found.flight.collision else last,
-        "planning_cpu_per_s": cpu_s / found.scores.time_s,
+        "planning_cpu_per_s": planning_s / found.scores.time_s,
         "cpu_per_s": found.cpu_s / found.scores.time_s,
         **{f"{name}_p99_ms": float(np.percentile(values, 99)) for name, values in stages.items()},
     }

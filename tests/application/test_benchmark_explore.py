@@ -130,5 +130,6 @@ def test_command_flies_and_prints(
     assert main([*arguments, "--json"]) == 0
     (only,) = json.loads(capsys.readouterr().out)["rows"]
     assert only["outcome"] == "reached" and only["plan_p99_ms"] > 0.0
+    assert 0.0 < only["planning_cpu_per_s"] < only["cpu_per_s"]
     assert main(["benchmark", "--suite", "explore", "--variants", "rain"]) == 2
     assert "unknown variant 'rain'" in capsys.readouterr().err
