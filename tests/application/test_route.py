@@ -58,33 +58,38 @@ def to_boxes(grid: OccupancyGrid, points: np.ndarray) -> float:
     return float(min(shell, np.linalg.norm(apart, axis=-1).min()))
 
 
-def reference_length(is_clear: np.ndarray, start: np.ndarray, goal: np.ndarray) -> float:
-    """Return the length of the shortest path to 26 neighbours by SciPy, inf without one."""
+def reference_length(is_clear: np.ndarray, start: np.ndarray, goal: np.ndarray, costs: np.ndarray) -> float:
+    """Return the cost of the cheapest path to 26 neighbours by SciPy, inf without one."""
     cells = np.argwhere(is_clear)
     apart = np.abs(cells[:, None] - cells).max(axis=-1)
     tails, heads = np.nonzero(apart == 1)
-    lengths = np.linalg.norm(cells[tails] - cells[heads], axis=1)
+    of_cells = costs[tuple(cells.T)]
+    lengths = np.linalg.norm(cells[tails] - cells[heads], axis=1) * 0.5 * (of_cells[tails] + of_cells[heads])
     graph = coo_array((lengths, (tails, heads)), shape=(len(cells),) * 2).tocsr()
     first, last = (int(np.flatnonzero((cells == cell).all(axis=1))[0]) for cell in (start, goal))
     return float(dijkstra(graph, indices=first)[last])
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.integers(0, 10**6), st.floats(0.3, 0.9), st.sampled_from([(14, 11, 3), (30, 24, 1)]))
-def test_paths_are_the_shortest_of_the_lattice(seed: int, share: float, shape: tuple[int, int, int]) -> None:
+@given(st.integers(0, 10**6), st.floats(0.3, 0.9), st.sampled_from([(14, 11, 3), (30, 24, 1)]), st.floats(1.0, 5.0))
+def test_paths_are_the_cheapest_of_the_lattice(
+    seed: int, share: float, shape: tuple[int, int, int], most: float
+) -> None:
     rng = np.random.default_rng(seed)
     is_clear = rng.random(shape) < share
     start, goal = rng.integers(shape, size=(2, 3))
     is_clear[tuple(start)] = is_clear[tuple(goal)] = True
-    path = shortest_path(is_clear, start, goal, 10**6)
-    expected = reference_length(is_clear, start, goal)
+    costs = np.where(rng.random(shape) < 0.5, most, 1.0)
+    path = shortest_path(is_clear, start, goal, 10**6, cell_costs=None if most == 1.0 else costs)
+    expected = reference_length(is_clear, start, goal, costs)
     if path.cells is None:
         assert expected == np.inf
         return
     steps = np.diff(path.cells, axis=0)
     assert np.abs(steps).max(initial=0) <= 1 and is_clear[tuple(path.cells.T)].all()
     assert (path.cells[0] == start).all() and (path.cells[-1] == goal).all()
-    assert np.linalg.norm(steps, axis=1).sum() == pytest.approx(expected)
+    of_cells = costs[tuple(path.cells.T)]
+    assert np.linalg.norm(steps, axis=1) @ (0.5 * (of_cells[1:] + of_cells[:-1])) == pytest.approx(expected)
 
 
 def test_a_search_stays_inside_the_lattice() -> None:
@@ -97,6 +102,20 @@ def test_a_free_line_is_the_route() -> None:
     result = found(grid_of(), [1.0, 1.0, 1.0], [5.0, 3.0, 1.5])
     np.testing.assert_allclose(result.waypoints, LOW + np.array([[1.0, 1.0, 1.0], [5.0, 3.0, 1.5]]))
     assert result.expansions == 0 and result.short_of_goal_m == 0.0
+
+
+@pytest.mark.parametrize(("cost", "is_around"), [(1.0, False), (1.3, False), (3.0, True)])
+def test_a_costly_part_is_passed_or_avoided(cost: float, is_around: bool) -> None:
+    """Straight on are 4 m, of which 2 m cost more; around them are 5.8 m."""
+    grid = grid_of((60, 40, 20))
+    costs = np.ones(grid.states.shape, np.float32)
+    costs[20:40, :26] = cost
+    distance = distance_field(grid, unknown_is_obstacle=True)
+    result = route(grid, distance, LOW + 1.0, LOW + [5.0, 1.0, 1.0], clearance_m=0.3, cell_costs=costs)
+    assert isinstance(result, Route)
+    through = np.mean(costs[tuple(grid.cells(points_of(result)).T)] > 1.0)
+    assert through < 0.02 if is_around or cost == 1.0 else through > 0.4
+    assert result.length_m == pytest.approx(5.8 if is_around else 4.0, abs=0.1)
 
 
 WALL_WITH_A_DOOR = (([3.0, 0.0, 0.0], [3.2, 3.0, 2.0], OCCUPIED),)  # the door is 1 m wide, at y = 3 to 4 m

@@ -12,9 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from dronevio.autonomy.planning.body import Body, body_distance
+from dronevio.autonomy.planning.hidden_space import path_costs
 from dronevio.autonomy.planning.route import NoRoute, Route, route
 from dronevio.models.arrays import Array
-from dronevio.models.occupancy import FREE, OCCUPIED, OccupancyGrid
+from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
 _MARGIN_M = 4.0  # of unknown space around all that is known, for detours
 _FAR_M = 15.0  # beyond which a path is not sought, since the search would take long
@@ -58,12 +59,17 @@ def path_to_goal(
         unseen = known.at(grid.centres(cells)) != FREE
         states[tuple(cells[unseen].T)] = OCCUPIED
     distance = body_distance(grid, states == OCCUPIED, body)
+    # What walls hide costs more.
+    is_unknown = np.ones(states.shape, np.bool_)
+    is_unknown[box] = part == UNKNOWN
+    costs = path_costs(states == OCCUPIED, is_unknown, cell_m)
     # The body stays between the heights.
     distance.distance_m[..., :levels] = 0.0
     distance.distance_m[..., states.shape[2] - levels :] = 0.0
-    found = route(grid, distance, within, goal, clearance_m=body.radius_m, near_m=_NEAR_M)
+    found = route(grid, distance, within, goal, clearance_m=body.radius_m, near_m=_NEAR_M, cell_costs=costs)
     if isinstance(found, NoRoute) and found.cause == "start":  # closer to a surface than the margin allows
-        found = route(grid, distance, within, goal, clearance_m=body.bare_radius_m, near_m=2.0 * _NEAR_M)
+        bare_m, near_m = body.bare_radius_m, 2.0 * _NEAR_M
+        found = route(grid, distance, within, goal, clearance_m=bare_m, near_m=near_m, cell_costs=costs)
     if isinstance(found, NoRoute):
         return found
     before = np.zeros((0, 3)) if np.array_equal(within, start) else start[None]

@@ -13,7 +13,7 @@ from itertools import product
 
 import numpy as np
 
-from dronevio.models.arrays import Array, Integers, Mask
+from dronevio.models.arrays import Array, Floats, Integers, Mask
 
 _STEPS = np.array([step for step in product((-1, 0, 1), repeat=3) if step != (0, 0, 0)])
 _LENGTHS = np.linalg.norm(_STEPS, axis=1)
@@ -32,9 +32,15 @@ class LatticePath:
 
 
 def shortest_path(
-    is_clear: Mask, start: Integers, goal: Integers, max_expansions: int, through_faces: bool = False
+    is_clear: Mask,
+    start: Integers,
+    goal: Integers,
+    max_expansions: int,
+    *,
+    through_faces: bool = False,
+    cell_costs: Floats | None = None,
 ) -> LatticePath:
-    """Return the shortest path of steps to the 26 neighbours through clear cells.
+    """Return the path of least cost, by default of least length, of steps to the 26 neighbours through clear cells.
 
     Args:
         is_clear: (X, Y, Z) Whether a path may pass a cell.
@@ -42,6 +48,7 @@ def shortest_path(
         goal: (3,) Index of the last cell, which is clear.
         max_expansions: The search ends without a path when it has expanded more cells.
         through_faces: Whether steps lead to the 6 neighbours that share a face alone.
+        cell_costs: (X, Y, Z) Cost of a unit of length in each cell, at least 1; a step has the mean of its two cells.
     """
     padded = np.pad(is_clear, 1)
     flat, shape = padded.reshape(-1), np.array(padded.shape)
@@ -49,6 +56,9 @@ def shortest_path(
     steps, lengths = (_STEPS[_LENGTHS == 1.0], np.ones(6)) if through_faces else (_STEPS, _LENGTHS)
     offsets = steps @ strides
     first, last = int((start + 1) @ strides), int((goal + 1) @ strides)
+    half: Array = np.full(flat.shape, 0.5)
+    if cell_costs is not None:
+        half = 0.5 * np.pad(cell_costs.astype(np.float64), 1, constant_values=1.0).reshape(-1)
     cost = np.full(flat.shape, np.inf)
     cost[first] = 0.0
     buckets: dict[int, list[Integers]] = {0: [np.array([first])]}
@@ -62,8 +72,9 @@ def shortest_path(
         expansions += len(cells)
         if expansions > max_expansions:
             return LatticePath(None, expansions)
-        heads = (cells[:, None] + offsets).reshape(-1)
-        costs = (cost[cells][:, None] + lengths).reshape(-1)
+        heads = cells[:, None] + offsets
+        costs = (cost[cells][:, None] + lengths * (half[cells][:, None] + half[heads])).reshape(-1)
+        heads = heads.reshape(-1)
         better = flat[heads] & (costs < cost[heads] - _TOLERANCE)
         heads, costs = heads[better], costs[better]
         np.minimum.at(cost, heads, costs)
@@ -74,7 +85,7 @@ def shortest_path(
             buckets.setdefault(each, []).append(heads[number == each])
     if not np.isfinite(cost[last]):
         return LatticePath(None, expansions)
-    return LatticePath(_traced(cost, first, last, offsets, lengths, strides), expansions)
+    return LatticePath(_traced(cost, half, first, last, offsets, lengths, strides), expansions)
 
 
 def _remaining(from_goal: Integers) -> Array:
@@ -83,11 +94,13 @@ def _remaining(from_goal: Integers) -> Array:
     return np.asarray(far + (np.sqrt(2.0) - 1.0) * middle + (np.sqrt(3.0) - np.sqrt(2.0)) * near)
 
 
-def _traced(cost: Array, first: int, last: int, offsets: Integers, lengths: Array, strides: Integers) -> Integers:
+def _traced(
+    cost: Array, half: Array, first: int, last: int, offsets: Integers, lengths: Array, strides: Integers
+) -> Integers:
     """Return the path (M, 3) from the first to the last cell down the costs (N,) of the cells."""
     path = [last]
     while path[-1] != first:
         before = path[-1] + offsets
-        path.append(int(before[np.argmin(cost[before] + lengths)]))
+        path.append(int(before[np.argmin(cost[before] + lengths * (half[before] + half[path[-1]]))]))
     i, rest = np.divmod(np.array(path[::-1]), strides[0])
     return np.stack([i, *np.divmod(rest, strides[1])], axis=-1) - 1

@@ -12,10 +12,11 @@ import numpy as np
 from scipy import ndimage
 
 from dronevio.autonomy.planning.lattice_search import shortest_path
-from dronevio.models.arrays import Array, Integers, Mask
+from dronevio.models.arrays import Array, Floats, Integers, Mask
 from dronevio.models.errors import ConfigError
 from dronevio.models.occupancy import FREE, DistanceField, OccupancyGrid
 
+_ROUNDING_M = 1e-6  # by which the cost of a straight line may exceed that of the path that it replaces
 _NEIGHBOURS = np.ones((3, 3, 3), np.bool_)
 
 
@@ -54,6 +55,7 @@ def route(
     *,
     clearance_m: float,
     near_m: float = 1.0,
+    cell_costs: Floats | None = None,
     max_expansions: int = 1_000_000,
 ) -> Route | NoRoute:
     """Return a short route from a start to a goal, or to the nearest place that can be reached.
@@ -70,6 +72,7 @@ def route(
         goal: (3,) Point to be reached [m].
         clearance_m: Least distance of cells on the route from what is not free [m].
         near_m: Distance from a start or goal within which a place is sought instead [m].
+        cell_costs: (X, Y, Z) Cost of a metre in each cell, at least 1; by default 1, so that the route is short.
         max_expansions: Number of cells after which the search is ended.
 
     Raises:
@@ -82,19 +85,21 @@ def route(
     if first is None:
         return NoRoute("start", f"no cell with {clearance_m:.2f} m of clearance within {near_m:.2f} m of {_at(start)}")
     ends = [start] if is_clear[tuple(grid.cells(start))] else [start, grid.centres(first)]
-    if _passes(is_clear, grid, ends[-1], goal):
+    cost = np.where(is_clear, 1.0 if cell_costs is None else cell_costs, np.inf)
+    if _cost(cost, grid, ends[-1], goal) <= np.linalg.norm(goal - ends[-1]) + _ROUNDING_M:
         return Route(np.stack([*ends, goal]), 0.0, 0)
     parts, _ = ndimage.label(is_clear, _NEIGHBOURS)
     last = next(_nearest(grid, parts == parts[tuple(first)], goal, near_m), None)
     if last is None:
         return NoRoute("goal", f"nothing within {near_m:.2f} m of {_at(goal)} can be reached from {_at(start)}")
-    path = shortest_path(is_clear, first, last, max_expansions)
+    path = shortest_path(is_clear, first, last, max_expansions, cell_costs=cell_costs)
     if path.cells is None:
         return NoRoute("search", f"none found from {_at(start)} to {_at(goal)} in {max_expansions} expansions")
     is_goal = bool(np.all(last == grid.cells(goal)))
     end = goal if is_goal else grid.centres(last)
-    points = np.concatenate([ends, grid.centres(path.cells), end[None]])  # points and centres of the same cells
-    waypoints = _shortcut(is_clear, grid, points[np.append(True, np.diff(points, axis=0).any(axis=1))])
+    points = np.concatenate([ends[-1:], grid.centres(path.cells), end[None]])  # points and centres of the same cells
+    shortened = _shortcut(cost, grid, points[np.append(True, np.diff(points, axis=0).any(axis=1))])
+    waypoints = np.concatenate([[start], shortened]) if len(ends) > 1 else shortened
     return Route(waypoints, 0.0 if is_goal else float(np.linalg.norm(end - goal)), path.expansions)
 
 
@@ -135,33 +140,58 @@ def _nearest(grid: OccupancyGrid, mask: Mask, point: Array, radius_m: float) -> 
 
 def _passes(mask: Mask, grid: OccupancyGrid, start: Array, end: Array) -> bool:
     """Return whether all cells that a straight line passes are in a mask; none outside the grid is."""
+    cells, _ = _crossed(mask.shape, grid, start, end)
+    return cells is not None and bool(mask[tuple(cells.T)].all())
+
+
+def _cost(cost: Array, grid: OccupancyGrid, start: Array, end: Array) -> float:
+    """Return the cost of a straight line through cells with a cost (X, Y, Z) of a metre each; inf outside the grid."""
+    cells, lengths_m = _crossed(cost.shape, grid, start, end)
+    costs = np.full(1, np.inf) if cells is None else cost[tuple(cells.T)]
+    return float(lengths_m @ costs) if np.isfinite(costs).all() else np.inf
+
+
+def _crossed(shape: tuple[int, ...], grid: OccupancyGrid, start: Array, end: Array) -> tuple[Integers | None, Array]:
+    """Return the cells (K, 3) that a straight line passes, and the lengths (K,) in them [m]; None outside the grid."""
     a, b = (start - grid.low_m) / grid.cell_m, (end - grid.low_m) / grid.cell_m
-    if not all(np.all((p >= 0.0) & (p < mask.shape)) for p in (a, b)):
-        return False
+    if not all(np.all((p >= 0.0) & (p < shape)) for p in (a, b)):
+        return None, np.zeros(0)
     crossed = [np.arange(np.floor(min(p, q)) + 1.0, np.ceil(max(p, q))) for p, q in zip(a, b, strict=True)]
     share = np.concatenate([(c - p) / (q - p) for c, p, q in zip(crossed, a, b, strict=True) if len(c)] + [[0.0, 1.0]])
     share.sort()
     cells = np.floor(a + (0.5 * (share[1:] + share[:-1]))[:, None] * (b - a)).astype(np.int64)
-    return bool(mask[tuple(cells.T)].all())
+    return cells, np.diff(share) * float(np.linalg.norm(end - start))
 
 
-def _shortcut(mask: Mask, grid: OccupancyGrid, path: Array) -> Array:
-    """Return the points (L, 3) of a path (M, 3) that remain after shortcuts along straight lines through a mask.
+def _shortcut(cost: Array, grid: OccupancyGrid, path: Array) -> Array:
+    """Return the points (L, 3) of a path (M, 3) that remain after shortcuts along straight lines of no larger cost.
 
-    From each point, the reach of the line is doubled until it is blocked, and then found by bisection.
+    From each point, the reach of the line is doubled until it is blocked or costs more, and then found by bisection.
+
+    Args:
+        cost: (X, Y, Z) Cost of a metre in each cell; inf where a path may not pass.
+        grid: The grid of the cells.
+        path: (M, 3) Centres of neighbouring cells, and the two ends [m].
     """
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    of_points = cost[tuple(grid.cells(path).T)]
+    so_far = np.append(0.0, np.cumsum(steps * 0.5 * (of_points[1:] + of_points[:-1])))
+
+    def is_no_worse(i: int, j: int) -> bool:
+        return _cost(cost, grid, path[i], path[j]) <= float(so_far[j] - so_far[i]) + _ROUNDING_M
+
     kept, here, end = [0], 0, len(path) - 1
     while here < end:
         reached, beyond, step = here + 1, end + 1, 2
         while beyond > end and reached < end:
             there = min(here + step, end)
-            if _passes(mask, grid, path[here], path[there]):
+            if is_no_worse(here, there):
                 reached, step = there, 2 * step
             else:
                 beyond = there
         while beyond - reached > 1 and reached < end:
             there = (reached + beyond) // 2
-            reached, beyond = (there, beyond) if _passes(mask, grid, path[here], path[there]) else (reached, there)
+            reached, beyond = (there, beyond) if is_no_worse(here, there) else (reached, there)
         here = reached
         kept.append(here)
     return path[kept]
