@@ -8,7 +8,7 @@ straight parts of what is occupied, and what is *hidden* lies behind or before t
 import cv2
 import numpy as np
 
-from dronevio.models.arrays import Floats, Integers, Mask
+from dronevio.models.arrays import Floats, Image, Mask
 
 _DIRECTIONS = 8  # of walls
 _LEAST_M = 1.2  # length of a wall
@@ -26,14 +26,14 @@ def path_costs(is_occupied: Mask, is_unknown: Mask, cell_m: float) -> Floats:
     """
     plan = np.asarray(is_occupied.any(axis=2), np.uint8)
     thick = cv2.dilate(plan, np.ones((2, 2), np.uint8))  # so that a slanted line has no steps
-    hidden = np.zeros_like(plan)
+    hidden = np.zeros(plan.shape, np.bool_)
     for angle in np.pi / _DIRECTIONS * np.arange(_DIRECTIONS):
         walls = cv2.morphologyEx(thick, cv2.MORPH_OPEN, _line(_LEAST_M / cell_m, angle))
-        hidden |= cv2.dilate(walls, _line(2.0 * _DEPTH_M / cell_m, angle + 0.5 * np.pi))
-    return np.where(is_unknown & (hidden > 0)[:, :, None], np.float32(_COST), np.float32(1.0))
+        hidden |= cv2.dilate(walls, _line(2.0 * _DEPTH_M / cell_m, angle + 0.5 * np.pi)) > 0
+    return np.where(is_unknown & hidden[:, :, None], np.float32(_COST), np.float32(1.0))
 
 
-def _line(length: float, angle_rad: float) -> Integers:
+def _line(length: float, angle_rad: float) -> Image:
     """Return a line through the centre of a structuring element, by its length [cells] and its angle from the rows."""
     half = round(0.5 * length)
     along = np.linspace(-half, half, 4 * half + 1)
