@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Literal, Self
 
 import numpy as np
@@ -258,3 +258,5 @@ EUROC_IMU = ImuModel(
 IJRR 2016). Range (±1000 °/s, ±18 g), resolution (0.04 °/s and 1/1200 g, of which the samples of the data set are
 multiples) and bandwidth (330 Hz) are those of the data sheet (Analog Devices, ADIS16448). The unit is regarded as
 calibrated, without scale errors, misalignments and g-sensitivity."""
+UNKNOWN_IMU = replace(EUROC_IMU, name="unknown")
+"""The IMU of a rig that has none, or none that is known."""

@@ -1,6 +1,7 @@
 """Image sets from folders of photographs."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Literal, get_args
@@ -85,16 +86,8 @@ def image_folder(
     if model is not None and camera == "per-image":
         raise ConfigError("a calibration for per-image cameras; expected one shared camera")
     folder, mask_path = Path(path), Path(masks) if masks is not None else None
-    names, skipped = find_photos(folder, mask_path)
-    headers_by_name: dict[str, PhotoHeader] = {}
-    for name in names:
-        try:
-            headers_by_name[name] = _usable_header(folder / name, model)
-        except InputError as error:
-            skipped[name] = error
-    if not headers_by_name:
-        raise next(iter(skipped.values()))
-    names, headers = tuple(headers_by_name), list(headers_by_name.values())
+    usable, skipped = usable_photos(folder, mask_path, model)
+    names, headers = tuple(usable), list(usable.values())
     files = tuple(folder / name for name in names)
     if model is None:
         image_camera, cameras, sources = _initial_cameras(headers, camera, lens)
@@ -109,11 +102,39 @@ def image_folder(
         t_ns=None,
         frame=None,
         Ts_imu_cam=None,
-        read=PhotoFiles(files, image_camera, cameras, _significant_bits(files, headers)),
+        read=PhotoFiles(files, image_camera, cameras, photo_bits(files, headers)),
         read_mask=find_masks(mask_path, names, image_camera, cameras),
         focal_source=sources,
         skipped=skipped,
     )
+
+
+def usable_photos(
+    folder: Path, masks: Path | None, model: CameraModel | None
+) -> tuple[dict[str, PhotoHeader], dict[str, InputError]]:
+    """Return the headers of the images below a folder, and why other files that look like images are none.
+
+    Args:
+        folder: The folder.
+        masks: A file or folder to leave out.
+        model: Calibration of the camera, whose size the images have; None for any size.
+
+    Returns:
+        Both by their paths below the folder, the images in natural order.
+
+    Raises:
+        InputError: There is no image that can be used, or the folder is within that of the masks.
+    """
+    names, skipped = find_photos(folder, masks)
+    headers: dict[str, PhotoHeader] = {}
+    for name in names:
+        try:
+            headers[name] = _usable_header(folder / name, model)
+        except InputError as error:
+            skipped[name] = error
+    if not headers:
+        raise next(iter(skipped.values()))
+    return headers, skipped
 
 
 def find_photos(folder: Path, masks: Path | None = None) -> tuple[tuple[str, ...], dict[str, InputError]]:
@@ -191,7 +212,7 @@ def _initial_cameras(
     return image_camera, tuple(model for model, _ in initial), tuple(source for _, source in initial)
 
 
-def _significant_bits(files: tuple[Path, ...], headers: list[PhotoHeader]) -> tuple[int, ...]:
+def photo_bits(files: Sequence[Path], headers: Sequence[PhotoHeader]) -> tuple[int, ...]:
     """Return the significant bits of each image, found once for all images of the same size and EXIF data."""
     groups: dict[PhotoHeader, list[Path]] = {}
     for file, header in zip(files, headers, strict=True):

@@ -9,8 +9,10 @@ from dronevio.models.image_sets.folder import CameraSharing, image_folder
 from dronevio.models.image_sets.image_set import ImageSet
 from dronevio.models.image_sets.photos import PHOTO_SUFFIXES
 from dronevio.models.image_sets.recording import image_recording
+from dronevio.models.image_sets.rig_folder import RIG_FILE, image_rig_folder, is_rig_folder
 from dronevio.models.image_sets.video import VIDEO_SUFFIXES, image_video
 from dronevio.models.lenses.lens import LensName
+from dronevio.models.recordings.calibration.reading import read_cameras
 from dronevio.models.recordings.open import is_bag, is_recording_folder
 
 
@@ -28,13 +30,14 @@ def open_images(
     """Return the images of a folder, a video or a recording.
 
     Args:
-        path: A folder of images, a video (``.mp4``, ``.avi``, ``.mov``, ``.mkv`` or ``.webm``), or a recording that
-            `open_recording` opens.
+        path: A folder of images, also of a rig (`dronevio.models.image_sets.rig_folder`), a video (``.mp4``, ``.avi``,
+            ``.mov``, ``.mkv`` or ``.webm``), or a recording that `open_recording` opens.
         camera: For folders: ``shared`` cameras, the default, or ``per-image``; see `image_folder`.
         model: For folders and videos: calibration of the one camera; None for initial values.
         masks: A folder of masks or one mask for all images; see `dronevio.models.image_sets.masks`.
         every: For videos: distance between the frames to use, by default 1.
-        cameras: For recordings: indices of the cameras to use, by default the first.
+        cameras: For recordings: indices of the cameras to use, by default the first. For folders of a rig: the same, by
+            default all.
         frames: For recordings: number of frames, spread evenly, or their indices; by default all.
         lens: For folders and videos without a calibration: ``radtan``, a pinhole and the default, or ``equidistant``, a
             fisheye.
@@ -50,6 +53,9 @@ def open_images(
     if is_recording(path):
         _check_options(path, "a recording", options, ("cameras", "frames"))
         return image_recording(path, cameras=(0,) if cameras is None else cameras, frames=frames, masks=masks)
+    if is_rig_folder(path):
+        _check_options(path, "a folder of a rig", options, ("cameras",))
+        return image_rig_folder(path, read_cameras(path / RIG_FILE), cameras=cameras, masks=masks)
     if path.suffix.lower() in VIDEO_SUFFIXES:
         _check_options(path, "a video", options, ("model", "every", "lens"))
         return image_video(path, 1 if every is None else every, model, masks, lens or "radtan")

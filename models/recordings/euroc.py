@@ -18,7 +18,7 @@ import numpy.typing as npt
 from dronevio.models.arrays import Array
 from dronevio.models.defects import Defect
 from dronevio.models.errors import InputError
-from dronevio.models.imu import ImuModel, ImuSamples, Times
+from dronevio.models.imu import UNKNOWN_IMU, ImuModel, ImuSamples, Times
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.calibration.euroc import (
@@ -37,6 +37,7 @@ from dronevio.models.recordings.images import assembled_frame, encode_png, read_
 from dronevio.models.recordings.segments import segment_name, split_at_steps
 from dronevio.models.recordings.timed_table import (
     TableFormat,
+    TimedTable,
     check_unit_quaternions,
     parse_integer_ns,
     read_timed_table,
@@ -194,10 +195,11 @@ def read_euroc_contents(
     """
     used = count_cameras(mav0) if cameras is None else min(cameras, count_cameras(mav0))
     lists = tuple(ImageList.read(mav0 / f"cam{i}") for i in range(used))
-    table = read_timed_table(mav0 / "imu0" / "data.csv", IMU_TABLE, checked=False)
+    has_imu = (mav0 / "imu0").exists()
+    table = _imu_table(mav0)
     files, frame_truth = tuple(calibration) or _tum_vi_calibration(mav0), mav0 / FRAME_TRUTH_FILE
     if files:
-        rig, sampling = calibrated_rig(mav0, files, lists, table.t_ns, imu)
+        rig, sampling = calibrated_rig(mav0, files, lists, table.t_ns, imu or (None if has_imu else UNKNOWN_IMU))
     else:
         rig, sampling = read_euroc_rig(mav0, used), read_euroc_sampling(mav0)
         rig = rig if imu is None else replace(rig, imu=replace(imu, rate_hz=rig.imu.rate_hz))
@@ -212,6 +214,14 @@ def read_euroc_contents(
         ground_truth=_ground_truth_of(mav0),
         frame_truth=read_frame_truth(frame_truth) if frame_truth.exists() else None,
         complete=not (mav0 / INCOMPLETE).exists(),
+    )
+
+
+def _imu_table(mav0: Path) -> TimedTable:
+    """Return the IMU samples of a folder ``mav0``, none without the folder ``imu0``."""
+    folder = mav0 / "imu0"
+    return (
+        read_timed_table(folder / "data.csv", IMU_TABLE, checked=False) if folder.exists() else TimedTable.empty(mav0)
     )
 
 
@@ -312,7 +322,7 @@ def read_euroc_segment_times(folder: Path | str) -> tuple[Times, ...]:
     listed = ImageList.read(mav0 / "cam0")
     split = split_at_steps([listed.t_ns])
     if len(split.steps):  # what the camera has in common with the IMU
-        table = read_timed_table(mav0 / "imu0" / "data.csv", IMU_TABLE, checked=False)
+        table = _imu_table(mav0)
         offset_ns = round(read_euroc_rig(mav0, 1).time_offset_s * 1e9)
         split = split_at_steps([listed.t_ns, table.t_ns], [offset_ns, 0])
     listed = replace(listed, t_ns=split.stamps[0])

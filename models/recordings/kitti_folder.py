@@ -19,7 +19,7 @@ import numpy as np
 from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
-from dronevio.models.imu import EUROC_IMU, ImuModel, Times
+from dronevio.models.imu import UNKNOWN_IMU, ImuModel, Times
 from dronevio.models.recordings.calibration.reading import read_calibration
 from dronevio.models.recordings.files import as_input_error, read_bytes, read_text
 from dronevio.models.recordings.folder_contents import FolderContents, rate_hz
@@ -83,7 +83,7 @@ def read_kitti_contents(
     times_file = folder / name.format(numbers[0]) / "timestamps.txt" if is_drive else folder / "times.txt"
     t_ns = _read_stamps(times_file) if is_drive else read_times_ns(times_file)
     lists = tuple(_images(folder / name.format(number), times_file, t_ns, is_drive) for number in numbers)
-    table, truth = _read_oxts(folder / "oxts") if is_drive else (_no_imu(folder), _sequence_truth(folder))
+    table, truth = _read_oxts(folder / "oxts") if is_drive else (TimedTable.empty(folder), _sequence_truth(folder))
     if for_odometry and not len(table.t_ns):
         raise InputError(
             folder, "a sequence of KITTI, which has no IMU", "a drive of the raw data; dronevio sfm needs none"
@@ -92,7 +92,7 @@ def read_kitti_contents(
         raise InputError(
             folder, "no noise densities of the IMU", "--calibration imu.yaml, or an IMU such as --imu BMI088"
         )
-    noise = imu or (read_calibration(calibration).imu if calibration else None) or replace(EUROC_IMU, name="unknown")
+    noise = imu or (read_calibration(calibration).imu if calibration else None) or UNKNOWN_IMU
     noise = replace(noise, rate_hz=rate_hz(table.t_ns, 100.0))
     models = _drive_cameras(folder, numbers, lists[0]) if is_drive else _sequence_cameras(folder, numbers, lists[0])
     with as_input_error(folder):
@@ -258,11 +258,6 @@ def _sequence_truth(folder: Path) -> Trajectory | None:
     poses = read_kitti(files[0], folder / "times.txt")
     rotations = R_UP_KITTI @ poses.rotations
     return Trajectory(poses.t_ns, poses.p_world_imu @ R_UP_KITTI.T, quat_wxyz_from_matrix(rotations))
-
-
-def _no_imu(folder: Path) -> TimedTable:
-    """Return a table without IMU samples."""
-    return TimedTable(folder, np.zeros(0, np.int64), np.zeros((0, 6)), np.zeros(0, np.int64))
 
 
 def _rigid(path: Path) -> Array:

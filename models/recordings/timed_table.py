@@ -73,6 +73,11 @@ class TimedTable:
     n_repeated: int = 0
     """Number of rows that repeat the time stamp of the previous row."""
 
+    @classmethod
+    def empty(cls, path: Path, columns: int = 6) -> "TimedTable":
+        """Return a table without rows."""
+        return cls(path, np.zeros(0, np.int64), np.zeros((0, columns)), np.zeros(0, np.int64))
+
     def place(self, row: int) -> str:
         """Return file and line of a row."""
         return f"{self.path}:{self.lines[row]}"

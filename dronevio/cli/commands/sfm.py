@@ -35,7 +35,8 @@ MOST_WARNINGS = 5
 class SfmCommand(Settings):
     """Reconstruct cameras and points from images alone (structure from motion).
 
-    IMAGES is a folder of photographs, a video or a recording. Without a calibration, focal length and
+    IMAGES is a folder of photographs, a video or a recording, or a folder with the images of a rig: cam0, cam1 and
+    so on, and their calibration rig.yaml, a camchain.yaml of Kalibr. Without a calibration, focal length and
     distortion are estimated, from EXIF data or a guess; the cameras of a recording are calibrated. The IMU of a
     recording, if the motion suffices, or two or more cameras give a reconstruction in metres; otherwise its scale is
     arbitrary. With an IMU, z points up. The result is a folder with the reconstruction in each format, a report with
@@ -72,7 +73,7 @@ class SfmCommand(Settings):
     every: Annotated[int | None, Range(low=1)] = None
     """For videos: distance between the frames to use."""
     cameras: Annotated[tuple[int, ...] | None, Range(0, 15)] = None
-    """For recordings: cameras to use, counted from 0; the first by default."""
+    """Cameras to use, counted from 0: of a recording the first by default, of a folder of a rig all."""
     frames: Annotated[int | None, Range(low=1)] = None
     """For recordings: number of frames to use, spread evenly; all by default."""
     add_to: Path | None = None
@@ -185,10 +186,11 @@ def _open(command: SfmCommand, earlier: tuple[str, ...]) -> "ImageSet":
 
 
 def _calibrated(path: Path) -> "CameraModel":
-    """Return the model of the first camera of a calibration."""
-    from dronevio.models.recordings.open import read_rig
+    """Return the model of the first camera of a calibration, a file or a recording."""
+    from dronevio.models.recordings.calibration.reading import read_cameras
+    from dronevio.models.recordings.open import is_bag, read_rig
 
-    return read_rig(path).cameras[0].model
+    return (read_rig(path).cameras if path.is_dir() or is_bag(path) else read_cameras(path))[0].model
 
 
 def _write(

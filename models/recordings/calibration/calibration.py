@@ -29,6 +29,9 @@ class Calibration:
     """(4, 4) Pose of the IMU in the vehicle frame, the identity if it is not specified."""
     sampling: Sampling
     """Sampling of the IMU."""
+    is_mounted: bool = True
+    """Whether the poses of the cameras are those in the IMU frame; otherwise they are those in the frame of the first
+    camera."""
 
     @classmethod
     def combined(cls, parts: Sequence["Calibration"]) -> "Calibration":
@@ -48,16 +51,23 @@ class Calibration:
             imu=motion.imu,
             T_vehicle_imu=motion.T_vehicle_imu,
             sampling=motion.sampling,
+            is_mounted=cameras.is_mounted,
         )
 
     def rig(self) -> Rig:
         """Return the rig of the cameras and the IMU.
 
         Raises:
-            InputError: The files have no camera or no IMU.
+            InputError: The files have no camera, no IMU, or no pose of one to the other.
         """
         if not self.cameras:
             raise InputError(self.paths[0], "no camera", "Kalibr's camchain.yaml: cam0 with intrinsics and T_cam_imu")
+        if not self.is_mounted:
+            raise InputError(
+                self.paths[0],
+                "no field cam0.T_cam_imu",
+                "the pose of the IMU in the camera frame, a result of kalibr_calibrate_imu_camera",
+            )
         if self.imu is None:
             raise InputError(self.paths[0], "no IMU", "Kalibr's imu.yaml as well, with the noise densities")
         with as_input_error(self.paths[0]):

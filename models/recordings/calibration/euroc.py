@@ -16,7 +16,7 @@ from typing import cast
 import numpy as np
 
 from dronevio.models.errors import InputError
-from dronevio.models.imu import ImuModel, Sampling
+from dronevio.models.imu import UNKNOWN_IMU, ImuModel, Sampling
 from dronevio.models.recordings.calibration.camera_fields import camera_model_yaml, read_camera_model
 from dronevio.models.recordings.calibration.imu_fields import imu_fields_yaml, read_imu_fields
 from dronevio.models.recordings.calibration.yaml_document import YamlDocument, read_yaml
@@ -28,7 +28,7 @@ _COEFFICIENTS = "distortion_coefficients"
 
 
 def read_euroc_rig(mav0: Path, cameras: int) -> Rig:
-    """Read the calibration of the IMU and the first ``cameras`` cameras of the folder ``mav0``.
+    """Read the calibration of the IMU, if there is one, and the first ``cameras`` cameras of the folder ``mav0``.
 
     Raises:
         InputError: A file or field is missing or invalid, or a camera model is not supported.
@@ -37,18 +37,20 @@ def read_euroc_rig(mav0: Path, cameras: int) -> Rig:
     with as_input_error(mav0):
         return Rig(
             cameras=tuple(_read_camera(read_yaml(mav0 / f"cam{i}" / "sensor.yaml")) for i in range(cameras)),
-            imu=_read_imu(read_yaml(mav0 / "imu0" / "sensor.yaml")),
+            imu=_read_imu(read_yaml(mav0 / "imu0" / "sensor.yaml")) if (mav0 / "imu0").exists() else UNKNOWN_IMU,
             T_vehicle_imu=body.pose("T_vehicle_imu") if "T_vehicle_imu.data" in body else np.eye(4),
             time_offset_s=body.number("time_offset_s") if "time_offset_s" in body else 0.0,
         )
 
 
 def read_euroc_sampling(mav0: Path) -> Sampling:
-    """Return the sampling of the IMU of the folder ``mav0``, ``point`` where its ``sensor.yaml`` has none.
+    """Return the sampling of the IMU of the folder ``mav0``, ``point`` where none is stated.
 
     Raises:
         InputError: The file is missing or invalid.
     """
+    if not (mav0 / "imu0").exists():
+        return "point"
     yaml = read_yaml(mav0 / "imu0" / "sensor.yaml")
     if "sampling" not in yaml:
         return "point"

@@ -64,6 +64,7 @@ def kalibr_calibration(file: YamlDocument, rate_hz: float = 20.0) -> Calibration
         imu=None if prefix is None else read_imu_fields(file, "name", "update_rate", prefix),
         T_vehicle_imu=file.pose_of_rows(pose) if pose in file else np.eye(4),
         sampling="point" if prefix is None else _sampling(file, prefix),
+        is_mounted="cam0.T_imu_cam" in file or "cam0.T_cam_imu" in file,
     )
 
 
@@ -151,10 +152,10 @@ def _T_imu_cam(yaml: YamlDocument, cam: str, previous: list[RigCamera]) -> Array
         poses[f"{cam}T_cam_imu"] = inverse_pose(yaml.pose_of_rows(f"{cam}T_cam_imu"))
     if f"{cam}T_cn_cnm1" in yaml and previous:
         poses[f"{cam}T_cn_cnm1"] = previous[-1].T_imu_cam @ inverse_pose(yaml.pose_of_rows(f"{cam}T_cn_cnm1"))
+    if not poses and not previous:
+        return np.eye(4)  # in the frame of the first camera, after kalibr_calibrate_cameras
     if not poses:
-        raise yaml.error(
-            f"{cam}T_cam_imu", "the pose of the IMU in the camera frame, a result of kalibr_calibrate_imu_camera"
-        )
+        raise yaml.error(f"{cam}T_cn_cnm1", "the pose of the previous camera, a result of kalibr_calibrate_cameras")
     first = next(iter(poses))
     for key, T in poses.items():
         if np.abs(T - poses[first]).max() > _POSE_TOLERANCE:

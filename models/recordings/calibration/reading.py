@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from dronevio.models.errors import InputError
 from dronevio.models.recordings.calibration.basalt import basalt_calibration, is_basalt
 from dronevio.models.recordings.calibration.calibration import Calibration
 from dronevio.models.recordings.calibration.kalibr import CAMCHAIN_FILE, IMU_FILE, kalibr_calibration
 from dronevio.models.recordings.calibration.yaml_document import YamlDocument, read_yaml
-from dronevio.models.rig import Rig
+from dronevio.models.rig import Rig, RigCamera
 
 
 def read_calibrated_rig(path: Path, *more: Path) -> Rig:
@@ -27,6 +28,18 @@ def read_calibrated_rig(path: Path, *more: Path) -> Rig:
     if calibration.imu is None and beside.exists():
         calibration = read_calibration([chain, *more, beside])
     return calibration.rig()
+
+
+def read_cameras(path: Path) -> tuple[RigCamera, ...]:
+    """Read the cameras of a calibration, which needs no IMU: without one, the frame of the rig is that of ``cam0``.
+
+    Raises:
+        InputError: The file is missing or damaged, has no camera, or a camera model is not supported.
+    """
+    calibration = read_calibration([path])
+    if not calibration.cameras:
+        raise InputError(path, "no camera", "Kalibr's camchain.yaml: cam0 with intrinsics")
+    return calibration.cameras
 
 
 def read_calibration(paths: Sequence[Path], rate_hz: float = 20.0) -> Calibration:

@@ -1,5 +1,7 @@
 """Recordings as image sets, and the recognition of folders, videos and recordings."""
 
+import re
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +13,10 @@ import pytest
 from PIL import Image as PillowImage
 
 from dronevio.models import CameraModel, ConfigError, ImageSet, InputError, image_recording, open_images
+from dronevio.models.recordings.calibration.kalibr import camchain_yaml
 from dronevio.models.recordings.euroc import write_euroc_recording
+from dronevio.models.recordings.open import open_recording
+from dronevio.models.rotation import inverse_pose
 
 
 @pytest.fixture(scope="module")
@@ -175,3 +180,55 @@ def test_cameras_exposed_apart_have_frames_of_their_own(is_stamped: bool, noise_
     second_alone = image_recording(recording, cameras=(1,))
     np.testing.assert_array_equal(second_alone.t_ns, times + later_ns)
     np.testing.assert_array_equal(second_alone.frame, [0, 1, 2])
+
+
+def test_a_recording_needs_no_imu(recording: Any, folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder, tmp_path / "flight")
+    shutil.rmtree(tmp_path / "flight" / "mav0" / "imu0")
+    images, with_imu = (open_images(path, cameras=[0, 1]) for path in (tmp_path / "flight", folder))
+    assert images.inertial is None and with_imu.inertial is not None
+    assert images.names == with_imu.names and images.cameras == with_imu.cameras
+    np.testing.assert_array_equal(images.Ts_imu_cam, with_imu.Ts_imu_cam)
+    np.testing.assert_array_equal(images.read(3), recording.frame(1).images[1])
+    with pytest.raises(InputError, match="no IMU; expected a recording with an IMU"):
+        open_recording(tmp_path / "flight", repair=True)
+
+
+@pytest.fixture
+def pairs(recording: Any, tmp_path: Path) -> Path:
+    """A folder of a rig: two frames of the recording, and one image of the first camera alone."""
+    for camera, count in ((0, 3), (1, 2)):
+        (tmp_path / f"cam{camera}").mkdir()
+        for k in range(count):
+            PillowImage.fromarray(recording.frame(k).images[camera]).save(tmp_path / f"cam{camera}" / f"{9 + k}.png")
+    without_imu = re.sub(r" *T_(cam_imu|imu_cam):\n( *- .*\n){4}", "", camchain_yaml(recording.rig))
+    assert "T_cam_imu" not in without_imu and "T_cn_cnm1" in without_imu
+    (tmp_path / "rig.yaml").write_text(without_imu)
+    return tmp_path
+
+
+def test_images_of_a_rig_with_one_name_are_of_one_moment(recording: Any, pairs: Path) -> None:
+    (pairs / "cam1" / "10.png").rename(pairs / "cam1" / "10.PNG")
+    (pairs / "cam1" / "11.png").write_text("a text")
+    images = open_images(pairs)
+    assert images.names == ("cam0/9.png", "cam1/9.png", "cam0/10.png", "cam1/10.PNG", "cam0/11.png")
+    assert images.frame is not None and images.frame.tolist() == [0, 0, 1, 1, 2]
+    assert images.image_camera.tolist() == [0, 1, 0, 1, 0] and images.is_calibrated.all()
+    assert list(images.skipped) == ["cam1/11.png"]
+    np.testing.assert_array_equal(images.read(3), recording.frame(1).images[1])
+    # The frame of the rig is that of the first camera, since there is no IMU.
+    assert images.Ts_imu_cam is not None
+    T_0_1 = inverse_pose(recording.rig.cameras[0].T_imu_cam) @ recording.rig.cameras[1].T_imu_cam
+    np.testing.assert_allclose(images.Ts_imu_cam, [np.eye(4), T_0_1], atol=1e-9)
+
+
+def test_cameras_of_a_rig_are_chosen(pairs: Path) -> None:
+    images = open_images(pairs, cameras=[1])
+    assert images.names == ("cam1/9.png", "cam1/10.png") and images.image_camera.tolist() == [0, 0]
+    with pytest.raises(ConfigError, match=r"cameras 0, 2 of .*; expected different ones from 0 to 1"):
+        open_images(pairs, cameras=[0, 2])
+    with pytest.raises(ConfigError, match="the option every for a folder of a rig"):
+        open_images(pairs, every=2)
+    shutil.rmtree(pairs / "cam1")
+    with pytest.raises(InputError, match="cam1: no such folder"):
+        open_images(pairs)
