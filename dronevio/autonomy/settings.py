@@ -39,7 +39,7 @@ class ExploreSettings(Settings):
     """Time from the estimate of a frame to its depth image [s]."""
     map_latency_s: Annotated[float, Range(0.0, 1.0)] = 0.01
     """Time from a depth image until it is in the map [s]."""
-    plan_latency_s: Annotated[float, Range(0.0, 1.0)] = 0.15
+    plan_latency_s: Annotated[float, Range(0.0, 1.0)] = 0.2
     """Time from the map until the vehicle follows a plan that was made with it [s]."""
 
     @property

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from math import pi, remainder
+from typing import Any
 
 import numpy as np
 import pytest
@@ -536,6 +537,24 @@ def test_without_light_the_vehicle_lands_on_observed_floor() -> None:
     speed = np.linalg.norm(truth.velocity_m_s, axis=1)  # type: ignore[arg-type]
     assert speed[truth.t_s < 17.0].max() > 1.0 and speed[np.argmin(np.abs(truth.t_s - 18.8))] < 0.3
     assert found.flight.truth.p_world_imu[-1, 2] < 0.3
+
+
+def test_a_goal_that_cannot_be_approached_any_further_is_reached_from_nearby(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scenario, goal = exploration_scenario("room", 0), np.array([2.0, -1.5, 1.2])
+    cameras = RayCameras("room", 0, scenario.rig, 0)
+    whole = MapRoute.path
+
+    def ends_aside(route: MapRoute, m: Moment, known: Any, target: Array, heights_m: Array) -> Array | None:
+        aside = target + [-0.33, 0.0, 0.0]
+        return None if np.linalg.norm(m.position_map_m - aside) < 0.15 else whole(route, m, known, aside, heights_m)
+
+    monkeypatch.setattr(MapRoute, "path", ends_aside)
+    pilot = Explorer(ReachGoal(goal), 40.0, source=cameras)
+    flight = fly_closed_loop(scenario, DriftingOdometry(cameras, 0), cameras, pilot=pilot)
+    assert pilot.outcome == "reached" and flight.collision is None
+    assert 0.2 < np.linalg.norm(flight.truth.p_world_imu[-1] - goal) < 0.5
 
 
 class Lost:

@@ -65,6 +65,7 @@ _AHEAD_M = 1.5  # along the route, where the vehicle looks
 GOAL_M = 0.5
 """Distance from the goal within which a flight must end."""
 _NEAR_M = 0.25  # from the goal, where it is reached
+_SPARE_M = 0.1  # for the error of the estimate, where it is reached from farther away
 _STOP_AFTER_NS, _LAND_AFTER_NS = 300_000_000, 1_000_000_000  # without depth; later if it is due less often
 _ROUTE_NS = 1_000_000_000  # between two routes
 _CHECK_NS = 25_000_000  # between the points of a trajectory whose clearance is checked: half a cell at 2 m/s
@@ -233,7 +234,10 @@ class Explorer:
             return
         path = self._route.path(m, known, target.position_map_m, self._heights(m))
         if path is None:
-            self._turn_back(m)
+            if not self._is_there(m, target):
+                self._turn_back(m)
+            elif m.speed_m_s < STILL_M_S:
+                self._arrive(m, space, target)
             if self._ends_ns is None:
                 self._follow(m, self._following.halt(m, space), self._turn(m, None))
             return
@@ -278,8 +282,15 @@ class Explorer:
             return
         self._say("fly home" if step.what == "fly" and self._is_going_home else step.what)
         self._follow(m, step.trajectory, turn)
-        if step.is_stuck:
+        if step.is_stuck and self._is_there(m, target):
+            self._arrive(m, space, target)
+        elif step.is_stuck:
             self._give_up(m, ahead)
+
+    def _is_there(self, m: Moment, target: Target) -> bool:
+        """Return whether a goal is so near that it counts as reached if it cannot be approached any further."""
+        apart_m = float(np.linalg.norm(m.position_m - m.from_map(target.position_map_m)))
+        return apart_m < GOAL_M - _SPARE_M and target.yaw_map_rad is None and not self._is_going_home
 
     def _give_up(self, m: Moment, ahead: Array) -> None:
         """Give up what is unknown on the path, for another one; a task that has other targets takes the next one."""

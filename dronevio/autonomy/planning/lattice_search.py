@@ -50,15 +50,16 @@ def shortest_path(
         through_faces: Whether steps lead to the 6 neighbours that share a face alone.
         cell_costs: (X, Y, Z) Cost of a unit of length in each cell, at least 1; a step has the mean of its two cells.
     """
-    padded = np.pad(is_clear, 1)
+    padded = np.zeros(np.array(is_clear.shape) + 2, np.bool_)
+    padded[1:-1, 1:-1, 1:-1] = is_clear
     flat, shape = padded.reshape(-1), np.array(padded.shape)
     strides = np.array([shape[1] * shape[2], shape[2], 1])
     steps, lengths = (_STEPS[_LENGTHS == 1.0], np.ones(6)) if through_faces else (_STEPS, _LENGTHS)
     offsets = steps @ strides
     first, last = int((start + 1) @ strides), int((goal + 1) @ strides)
-    half: Array = np.full(flat.shape, 0.5)
+    half = np.full(flat.shape, 0.5, np.float32)
     if cell_costs is not None:
-        half = 0.5 * np.pad(cell_costs.astype(np.float64), 1, constant_values=1.0).reshape(-1)
+        half.reshape(padded.shape)[1:-1, 1:-1, 1:-1] *= cell_costs
     cost = np.full(flat.shape, np.inf)
     cost[first] = 0.0
     buckets: dict[int, list[Integers]] = {0: [np.array([first])]}
@@ -95,7 +96,7 @@ def _remaining(from_goal: Integers) -> Array:
 
 
 def _traced(
-    cost: Array, half: Array, first: int, last: int, offsets: Integers, lengths: Array, strides: Integers
+    cost: Array, half: Floats, first: int, last: int, offsets: Integers, lengths: Array, strides: Integers
 ) -> Integers:
     """Return the path (M, 3) from the first to the last cell down the costs (N,) of the cells."""
     path = [last]

@@ -85,7 +85,7 @@ def route(
     if first is None:
         return NoRoute("start", f"no cell with {clearance_m:.2f} m of clearance within {near_m:.2f} m of {_at(start)}")
     ends = [start] if is_clear[tuple(grid.cells(start))] else [start, grid.centres(first)]
-    cost = np.where(is_clear, 1.0 if cell_costs is None else cell_costs, np.inf)
+    cost = np.where(is_clear, np.float32(1.0) if cell_costs is None else cell_costs, np.float32(np.inf))
     if _cost(cost, grid, ends[-1], goal) <= np.linalg.norm(goal - ends[-1]) + _ROUNDING_M:
         return Route(np.stack([*ends, goal]), 0.0, 0)
     parts, _ = ndimage.label(is_clear, _NEIGHBOURS)
@@ -144,7 +144,7 @@ def _passes(mask: Mask, grid: OccupancyGrid, start: Array, end: Array) -> bool:
     return cells is not None and bool(mask[tuple(cells.T)].all())
 
 
-def _cost(cost: Array, grid: OccupancyGrid, start: Array, end: Array) -> float:
+def _cost(cost: Floats, grid: OccupancyGrid, start: Array, end: Array) -> float:
     """Return the cost of a straight line through cells with a cost (X, Y, Z) of a metre each; inf outside the grid."""
     cells, lengths_m = _crossed(cost.shape, grid, start, end)
     costs = np.full(1, np.inf) if cells is None else cost[tuple(cells.T)]
@@ -163,7 +163,7 @@ def _crossed(shape: tuple[int, ...], grid: OccupancyGrid, start: Array, end: Arr
     return cells, np.diff(share) * float(np.linalg.norm(end - start))
 
 
-def _shortcut(cost: Array, grid: OccupancyGrid, path: Array) -> Array:
+def _shortcut(cost: Floats, grid: OccupancyGrid, path: Array) -> Array:
     """Return the points (L, 3) of a path (M, 3) that remain after shortcuts along straight lines of no larger cost.
 
     From each point, the reach of the line is doubled until it is blocked or costs more, and then found by bisection.

@@ -132,7 +132,7 @@ EXPLORE: OptionTable = MappingProxyType(
         "body.radius-m": "The vehicle is larger or smaller than the research quadrotor, or doors are narrower than a"
         " metre (decrease it, at the cost of the margin).",
         "views": "Coverage is to be compared with that of nearest frontiers.",
-        "plan-latency-s": "The computer of the drone plans faster or more slowly than within 0.15 s.",
+        "plan-latency-s": "The computer of the drone plans faster or more slowly than within 0.2 s.",
     }
 )
 """Options of flights through unknown worlds."""
