@@ -14,7 +14,7 @@ from dronevio.models.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 CELL_M, SHAPE = 0.1, (160, 160, 20)
 
 
-def costs_of(points: np.ndarray, unknown: slice | np.ndarray = slice(None)) -> np.ndarray:
+def costs_of(points: np.ndarray, unknown: tuple[slice, ...] = ()) -> np.ndarray:
     """Return the costs in a plan view around occupied points [m] from the middle of the map."""
     occupied, is_unknown = np.zeros(SHAPE, bool), np.zeros(SHAPE, bool)
     occupied[(*np.floor(points / CELL_M + 80).astype(int).T, 10)] = True
