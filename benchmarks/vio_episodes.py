@@ -90,7 +90,8 @@ class Episode:
 def flown(command: EpisodesCommand, seed: int) -> Episode:
     """Return the result of the episode of a seed."""
     start_s = time.process_time()
-    task = VioHover(hover_s=command.hover_s) if command.environment == "VioHover" else VioNavigate()
+    hovering = VioHover(hover_s=command.hover_s, episode_s=20.0 + command.hover_s)
+    task = hovering if command.environment == "VioHover" else VioNavigate()
     estimation = Estimation(latency_s=command.latency_s, dark_from_s=command.dark_from_s, dark_for_s=command.dark_for_s)
     env = gymnasium.make(
         f"dronevio/{command.environment}-v0",
@@ -98,7 +99,6 @@ def flown(command: EpisodesCommand, seed: int) -> Episode:
         world=command.world,
         estimation=estimation,
         observations=("goals", "rotation"),
-        max_episode_steps=round(50 * (task.episode_s if isinstance(task, VioNavigate) else 20.0 + command.hover_s)),
     )
     observation, info = env.reset(seed=seed)
     pad = info["truth"]["position_m"]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
+from dronevio._lazy import attach
 from dronevio.models.rig import Rig, euroc_rig
 
 if TYPE_CHECKING:
@@ -17,9 +18,8 @@ if TYPE_CHECKING:
     from dronevio.sim.envs.single import DroneEnv
     from dronevio.sim.envs.tasks import AnyTask
 
-_ACTIONS_PER_S = 50
-_EPISODES_S = {"Hover": 10, "Waypoints": 15, "Track": 15, "Race": 90, "Navigate": 30, "Explore": 60}
-_VIO_EPISODES_S = {"VioHover": ("vio-hover", 80), "VioNavigate": ("vio-navigate", 40)}
+_TASKS = ("Hover", "Waypoints", "Track", "Race", "Navigate", "Explore")
+_VIO_TASKS = {"VioHover": "vio-hover", "VioNavigate": "vio-navigate"}
 _VIO_WIDTH, _VIO_HEIGHT, _VIO_RATE_HZ = 320, 204, 10.0
 
 
@@ -38,7 +38,7 @@ def vio_rig() -> Rig:
 def vio_environment(
     task: "AnyTask | str" = "vio-hover",
     render_mode: str | None = None,
-    rig: Rig | None = None,
+    rig: Rig | str | None = None,
     estimator: "EstimatorFactory | None" = None,
     **settings: Any,
 ) -> "DroneEnv":
@@ -47,7 +47,7 @@ def vio_environment(
     Args:
         task: Task or name of a task that starts standing.
         render_mode: None, ``rgb_array`` or ``human``.
-        rig: Cameras and IMU; `vio_rig` by default.
+        rig: Cameras and IMU, or the name of a rig; `vio_rig` by default.
         estimator: Function that returns an estimator for a rig; `VisualInertialOdometry` by default.
         settings: Other fields of `EnvironmentSettings` by name.
 
@@ -64,19 +64,43 @@ def vio_environment(
     return DroneEnv(task, render_mode, rig=rig or vio_rig(), estimator=estimator, **settings)
 
 
-for _name, _seconds in _EPISODES_S.items():
+# Environments count their time limits, which follow from the length of an episode and the rate of actions.
+for _name in _TASKS:
     gymnasium.register(
         id=f"dronevio/{_name}-v0",
         entry_point="dronevio.sim.envs.single:DroneEnv",
         vector_entry_point="dronevio.sim.envs.vector:DroneVectorEnv",
         kwargs={"task": _name.lower()},
-        max_episode_steps=_seconds * _ACTIONS_PER_S,
     )
 
-for _name, (_task, _seconds) in _VIO_EPISODES_S.items():  # their estimators are not vectorized
+for _name, _task in _VIO_TASKS.items():  # their estimators are not vectorized
     gymnasium.register(
         id=f"dronevio/{_name}-v0",
         entry_point="dronevio.envs:vio_environment",
         kwargs={"task": _task},
-        max_episode_steps=_seconds * _ACTIONS_PER_S,
     )
+
+__getattr__, __dir__ = attach(
+    __name__,
+    {
+        "dronevio.sim.envs.episodes.distributions": ("Constant", "LogUniform", "Normal", "Uniform"),
+        "dronevio.sim.envs.episodes.randomization": ("MODERATE", "Randomization"),
+        "dronevio.sim.envs.settings": ("EnvironmentSettings",),
+        "dronevio.sim.envs.single": ("DroneEnv",),
+        "dronevio.sim.envs.tasks": (
+            "Explore",
+            "Hover",
+            "Navigate",
+            "Objective",
+            "Race",
+            "Start",
+            "Task",
+            "Track",
+            "Transition",
+            "VioHover",
+            "VioNavigate",
+            "Waypoints",
+        ),
+        "dronevio.sim.envs.vector": ("DroneVectorEnv",),
+    },
+)

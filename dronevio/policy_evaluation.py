@@ -17,7 +17,6 @@ from dronevio.models.policies.policy import Policy
 from dronevio.models.progress import Progress, silent
 from dronevio.sim.envs.policies.goal_flight import fly_to_goal
 from dronevio.sim.envs.settings import EnvironmentSettings
-from dronevio.sim.envs.tasks import task_named
 
 MOST_AT_ONCE = 256
 """Largest number of environments that are stepped together."""
@@ -105,8 +104,6 @@ def policy_envs(policy: Policy, count: int, *, environment: str = "", **settings
     _require_registered(name)
     if gymnasium.spec(name).vector_entry_point is None:
         raise ConfigError(f"environment {name!r} without native vectors; expected one that is not flown on an estimate")
-    task = settings.get("task", gymnasium.spec(name).kwargs["task"])
-    episode_s = (task_named(task) if isinstance(task, str) else task).episode_s
     arguments = {
         "vehicle": policy.vehicle,
         "action": policy.action_mode,
@@ -114,7 +111,6 @@ def policy_envs(policy: Policy, count: int, *, environment: str = "", **settings
         "action_rate_hz": policy.action_rate_hz,
         "imu_rate_hz": policy.imu_rate_hz,
         "observations": policy.names,
-        "max_episode_steps": round(episode_s * policy.action_rate_hz),
     }
     envs = gymnasium.make_vec(name, num_envs=count, **{**arguments, **settings})
     shapes = getattr(envs.unwrapped, "observation_shapes", {})

@@ -10,7 +10,7 @@ import numpy as np
 
 from dronevio.models.ranges import Range, Settings
 
-ACTION_MODES = ("rotors", "rates", "attitude", "velocity")
+ACTION_MODES = ("rotors", "rates", "attitude", "velocity", "position")
 """Names of all action modes."""
 
 
@@ -25,6 +25,8 @@ class ActionLimits(Settings):
     tilt_rad: Annotated[float, Range(above=0.0, below=np.pi)] = 0.6
     """Largest roll and pitch in the mode ``attitude`` [rad]."""
     velocity_m_s: Annotated[float, Range(above=0.0, high=1e3)] = 2.0
-    """Largest velocity along each axis in the mode ``velocity`` [m/s]."""
+    """Largest velocity along each axis in the mode ``velocity``, and largest speed in the mode ``position`` [m/s]."""
+    position_m: Annotated[float, Range(above=0.0, high=1e3)] = 2.0
+    """Largest distance along each axis in the mode ``position`` [m]."""
     acceleration_m_s2: Annotated[float, Range(above=0.0, high=1e4)] = 6.0
-    """Largest acceleration by the velocity error in the mode ``velocity`` [m/s²]."""
+    """Largest acceleration by the velocity error in the modes ``velocity`` and ``position`` [m/s²]."""

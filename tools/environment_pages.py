@@ -66,7 +66,7 @@ def page(environment_id: str) -> str:
     chosen, task = env.settings, env.settings.task
     facts = {
         "make": f'`gymnasium.make("dronevio.envs:{environment_id}")`',
-        "time limit": f"{gymnasium.spec(environment_id).max_episode_steps} steps, {task.episode_s:g} s",
+        "time limit": f"{chosen.episode_steps} steps, {task.episode_s:g} s",
         "world": f"`{chosen.world}`",
         "action mode": f"`{chosen.action}`",
         "rates": f"actions {chosen.action_rate_hz:g} Hz, IMU {chosen.imu_rate_hz:g} Hz, "

@@ -24,7 +24,7 @@ from dronevio.sim.envs.sensing.imu_window import ImuWindow
 from dronevio.sim.envs.sensing.observations import ObservedState, limits_of, observation_named
 from dronevio.sim.envs.sensing.ray_maps import FINER, RayMaps, world_cells
 from dronevio.sim.envs.settings import EnvironmentSettings
-from dronevio.sim.envs.tasks import Objective, Transition
+from dronevio.sim.envs.tasks import AnyTask, Objective, Transition
 from dronevio.sim.envs.tasks.task import distance_m
 from dronevio.sim.physics.batch_plant import BatchPlant
 from dronevio.sim.physics.vehicle_states import VehicleStates, with_rows
@@ -178,7 +178,9 @@ class DroneCore:
         settings, last, rows = self.settings, self._episode, np.flatnonzero(mask)
         drawn = settings.randomization.draw(self._rng, rows.size, settings.world_seed)
         states, goals = self._begin(rows.size)
-        states, goals, drawn = overridden(settings.task, states, goals, drawn, options, rows, self.count)
+        states, goals, drawn = overridden(
+            settings.task, settings.vehicle, states, goals, drawn, options, rows, self.count
+        )
         randomized = with_rows(last.randomized, rows, drawn)
         winds = Winds(np.array(settings.wind.mean_m_s) + randomized.wind_m_s, settings.wind.gusts + randomized.gusts)
         self.plant.reset(mask, with_rows(last.states, rows, states), randomized.parameters(settings.vehicle), winds)
@@ -225,7 +227,7 @@ class DroneCore:
         seen_m3 = np.zeros(self.count) if self._maps is None else self._maps.advance(self._T_world_imu(after))
         step = Transition(last.states, after, action, last.action, self._t_s, reason > 0, standing_m, sigma_m, seen_m3)
         goals = task.advance(self.area, last.goals, step)
-        terms = task.reward_terms(self.area, last.goals, goals, step)
+        terms = _checked_terms(task, task.reward_terms(self.area, last.goals, goals, step), self.count)
         images = None if last.images is None else last.images.one_step_later()
         self._episode = EpisodeState(last.randomized, goals, after, last.begun_ns, action, delayed, loops, images)
         reason = np.where((reason == 0) & task.finished(goals), REASONS.index("success"), reason)
@@ -391,3 +393,23 @@ class DroneCore:
         c = self.settings
         solids = world_cells(c.world, c.world_seed, c.mapping.cell_m / FINER)
         return RayMaps(self.count, solids, c.rig.cameras[c.camera], c.mapping, c.steps_per_cast)
+
+
+def _checked_terms(task: AnyTask, terms: Mapping[str, Any], count: int) -> dict[str, Array]:
+    """Return the terms of a reward by name, each (n,).
+
+    Raises:
+        ConfigError: There is none, or one has another shape or is not finite.
+    """
+    checked = {name: np.asarray(values) for name, values in terms.items()}
+    if not checked:
+        raise ConfigError(f"{type(task).__name__}.reward_terms returned no term; expected one or more by name")
+    for name, values in checked.items():
+        if values.shape != (count,) or values.dtype.kind not in "fiub":
+            found = f"of shape {values.shape} and type {values.dtype}"
+        elif not np.isfinite(values).all():
+            found = f"with the value {values[~np.isfinite(values)][0]}"
+        else:
+            continue
+        raise ConfigError(f"reward term {name!r} of {type(task).__name__} {found}; expected {count} finite numbers")
+    return checked

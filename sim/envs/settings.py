@@ -8,6 +8,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import RESEARCH, Quadrotor, vehicle_named
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig, euroc_rig
+from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.sim.envs.episodes.randomization import NOTHING_RANDOM, Randomization, RandomizedParameters
 from dronevio.sim.envs.sensing.camera_observation import ImageKind, ImageSettings, RenderedObservation
@@ -32,11 +33,12 @@ class EnvironmentSettings(Settings):
     vehicle: Quadrotor = RESEARCH
     """Vehicle, or its name: ``research`` or ``nano``."""
     rig: Rig = field(default_factory=euroc_rig)
-    """Cameras and IMU with their mounting; those of EuRoC's drone by default."""
+    """Cameras and IMU with their mounting, or the name of a rig such as ``euroc-stereo``; those of EuRoC's drone by
+    default."""
     wind: Wind = CALM
     """Mean wind and gusts, to which those of the randomization are added."""
     action: str = ""
-    """Action mode: ``rotors``, ``rates``, ``attitude`` or ``velocity``; that of the task by default."""
+    """Action mode: ``rotors``, ``rates``, ``attitude``, ``velocity`` or ``position``; that of the task by default."""
     action_limits: ActionLimits = field(default_factory=ActionLimits)
     """Largest rates, tilt and velocities that actions command."""
     observations: tuple[str, ...] = ()
@@ -179,14 +181,14 @@ class EnvironmentSettings(Settings):
 
 
 def settings_of(
-    task: AnyTask | str = "hover", vehicle: Quadrotor | str = RESEARCH, rig: Rig | None = None, **others: Any
+    task: AnyTask | str = "hover", vehicle: Quadrotor | str = RESEARCH, rig: Rig | str | None = None, **others: Any
 ) -> EnvironmentSettings:
     """Return settings, with the defaults of the task for values that are not given.
 
     Args:
         task: Task or name of a task.
         vehicle: Vehicle or name of a vehicle.
-        rig: Cameras and IMU; those of EuRoC's drone by default.
+        rig: Cameras and IMU, or the name of a rig such as ``euroc-stereo``; those of EuRoC's drone by default.
         others: Other fields of `EnvironmentSettings` by name.
 
     Raises:
@@ -197,7 +199,7 @@ def settings_of(
     if unknown:
         raise ConfigError(f"unknown argument {unknown[0]!r}; expected some of {', '.join(sorted(known))}")
     chosen = task_named(task) if isinstance(task, str) else task
-    rig = rig or euroc_rig()
+    rig = rig_named(rig) if isinstance(rig, str) else rig or euroc_rig()
     imu_rate_hz = others.pop("imu_rate_hz", 0.0) or rig.imu.rate_hz
     action_rate_hz = others.pop("action_rate_hz", 50.0)
     return EnvironmentSettings(

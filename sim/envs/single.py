@@ -38,8 +38,9 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
     ```
 
     ## Time limits
-    Gymnasium counts the time limit of an id in steps of 20 ms. With another ``action_rate_hz``, pass
-    ``max_episode_steps`` to `gymnasium.make` or `gymnasium.make_vec`, too.
+    An episode is truncated after the ``episode_s`` of its task, in seconds, whatever the rate of the actions:
+    ``task=Hover(episode_s=3.0)``. The ``max_episode_steps`` of `gymnasium.make` and `gymnasium.make_vec` can only
+    shorten it.
 
     ## Info
     | key | content |
@@ -86,7 +87,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
         self.metadata = {"render_modes": possible_render_modes(), "render_fps": round(self.settings.action_rate_hz)}
         self._core = DroneCore(1, self.settings)
         self._pictures = DronePictures(self.settings)
-        self._started = False
+        self._started, self._steps = False, 0
         self.action_space = action_space()
         self.observation_space = self._core.arrangement.space
         self.observation_shapes = self._core.arrangement.shapes
@@ -109,7 +110,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
         if seed is not None or not self._started:
             self._core.reseed(self.np_random)
         info = self._core.reset(_ALL, options or {})
-        self._started = True
+        self._started, self._steps = True, 0
         self._show()
         return rows_of(self._core.observe(), 0), row_of(info, 0)
 
@@ -117,7 +118,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
         """Apply an action (4,), clipped to [−1, 1], for the time between two actions.
 
         Returns:
-            Observation, reward, terminated, truncated (always False: time limits are wrappers) and the info dictionary.
+            Observation, reward, terminated, truncated and the info dictionary.
 
         Raises:
             ConfigError: The action is not four finite numbers, or there was no reset.
@@ -127,9 +128,11 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
         if action.shape != (4,):
             raise ConfigError(f"action of shape {action.shape}; expected (4,)")
         result = self._core.step(action[None])
+        self._steps += 1
         self._show()
         observation, info = rows_of(self._core.observe(), 0), row_of(result.info, 0)
-        return observation, float(result.reward[0]), bool(result.terminated[0]), False, info
+        is_over = self._steps >= self.settings.episode_steps
+        return observation, float(result.reward[0]), bool(result.terminated[0]), is_over, info
 
     def render(self) -> Any:
         """Return an RGB image (480, 640, 3) from the chase camera, or show it; None without a render mode.
@@ -158,7 +161,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
             ConfigError: There was no reset, or there is an estimator.
         """
         self._require_started()
-        return self._core.save()
+        return {"core": self._core.save(), "steps": self._steps}
 
     def restore_state(self, saved: dict[str, Any]) -> Any:
         """Return to a state of this or another environment with the same arguments.
@@ -168,12 +171,13 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
         """
         if not self._started:
             self.reset()
-        self._core.restore(saved)
+        self._core.restore(saved["core"])
+        self._steps = saved["steps"]
         return rows_of(self._core.observe(), 0)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return arguments and state."""
-        return {"arguments": self._arguments, "saved": self._core.save() if self._started else None}
+        return {"arguments": self._arguments, "saved": self.save_state() if self._started else None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Build the environment from arguments and state."""

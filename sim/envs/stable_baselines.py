@@ -14,6 +14,7 @@ PPO("MlpPolicy", StableBaselinesVecEnv(envs), n_steps=32, batch_size=2048).learn
 ```
 """
 
+import time
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -34,9 +35,9 @@ class StableBaselinesVecEnv(VecEnv):  # type: ignore[misc]  # the library is not
     """A vector environment of Gymnasium as a `VecEnv` of Stable-Baselines3.
 
     An environment is reset in the step in which its episode ends. Its info then has ``terminal_observation``,
-    ``TimeLimit.truncated`` (truncated and not terminated), ``is_success`` if there is a ``success``, and the values of
-    the last step by name. The infos of other steps are empty, since a dict for each environment takes longer than the
-    physics.
+    ``TimeLimit.truncated`` (truncated and not terminated), ``episode`` with the return, length and time of the episode
+    as `VecMonitor` has them, ``is_success`` if there is a ``success``, and the values of the last step by name. The
+    infos of other steps are empty, since a dict for each environment takes longer than the physics.
     """
 
     def __init__(self, envs: VectorEnv[Any, Any, Any]) -> None:
@@ -53,12 +54,15 @@ class StableBaselinesVecEnv(VecEnv):  # type: ignore[misc]  # the library is not
             raise ConfigError(f"vector environment with autoreset_mode {mode}; expected AutoresetMode.SAME_STEP")
         self.envs = envs
         self._actions: npt.NDArray[np.float32] | None = None
+        self._returns, self._lengths = np.zeros(envs.num_envs), np.zeros(envs.num_envs, np.int64)
+        self._began_s = time.time()
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def reset(self) -> Any:
         """Start episodes of all environments, with the seed and options that were set before."""
         observations, infos = self.envs.reset(seed=self._seeds[0], options=self._options[0])
         self.reset_infos = [row_of(_without_masks(infos), row) for row in range(self.num_envs)]
+        self._returns[:], self._lengths[:] = 0.0, 0
         self._reset_seeds()
         self._reset_options()
         return observations
@@ -71,6 +75,8 @@ class StableBaselinesVecEnv(VecEnv):  # type: ignore[misc]  # the library is not
         """Apply the stored actions, and return observations, rewards, ends of episodes and infos."""
         observations, rewards, terminated, truncated, infos = self.envs.step(self._actions)
         ended = terminated | truncated
+        self._returns += rewards
+        self._lengths += 1
         listed: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         final = _without_masks(infos.get("final_info", {}))
         for row in np.flatnonzero(ended).tolist():
@@ -78,9 +84,15 @@ class StableBaselinesVecEnv(VecEnv):  # type: ignore[misc]  # the library is not
                 **row_of(final, row),
                 "terminal_observation": infos["final_obs"][row],
                 "TimeLimit.truncated": bool(truncated[row] and not terminated[row]),
+                "episode": {
+                    "r": round(float(self._returns[row]), 6),
+                    "l": int(self._lengths[row]),
+                    "t": round(time.time() - self._began_s, 6),
+                },
             }
             if "success" in final:
                 listed[row]["is_success"] = bool(final["success"][row])
+        self._returns[ended], self._lengths[ended] = 0.0, 0
         return observations, rewards.astype(np.float32), ended, listed
 
     def close(self) -> None:

@@ -41,9 +41,9 @@ class DroneVectorEnv(VectorEnv[Any, npt.NDArray[np.floating[Any]], Any]):
     ## Arguments
     ``autoreset_mode`` is one of Gymnasium's three modes: ``NEXT_STEP`` (the default) resets an environment in the step
     after its episode ends, ``SAME_STEP`` in the same step, with ``final_obs`` and ``final_info`` in the infos, and
-    ``DISABLED`` leaves it to ``reset(options={"reset_mask": …})``. Episodes are truncated after ``max_episode_steps``,
-    the time limit of the task by default. ``threads`` is the number of threads of the physics. Other keyword arguments
-    are the fields of `dronevio.sim.envs.settings.EnvironmentSettings`.
+    ``DISABLED`` leaves it to ``reset(options={"reset_mask": …})``. Episodes are truncated after the ``episode_s`` of
+    the task, or ``max_episode_steps`` before. ``threads`` is the number of threads of the physics. Other keyword
+    arguments are the fields of `dronevio.sim.envs.settings.EnvironmentSettings`.
 
     ## Infos
     Those of `DroneEnv` as arrays with one row for each environment. As in all vectors of Gymnasium, ``_key`` is a mask
@@ -65,7 +65,7 @@ class DroneVectorEnv(VectorEnv[Any, npt.NDArray[np.floating[Any]], Any]):
             num_envs: Number of environments.
             task: Task or name of a task.
             render_mode: None or ``rgb_array``.
-            max_episode_steps: Number of steps after which an episode is truncated; that of the task by default.
+            max_episode_steps: Number of steps after which an episode is truncated, at most that of the task.
             autoreset_mode: What happens when an episode ends.
             settings: Other fields of `EnvironmentSettings` by name.
 
@@ -91,9 +91,12 @@ class DroneVectorEnv(VectorEnv[Any, npt.NDArray[np.floating[Any]], Any]):
             "render_fps": round(self.settings.action_rate_hz),
             "autoreset_mode": self.autoreset_mode,
         }
-        self._limit = self.settings.episode_steps if max_episode_steps is None else max_episode_steps
-        if self._limit < 1:
-            raise ConfigError(f"max_episode_steps = {self._limit}; expected 1 or more")
+        most = self.settings.episode_steps
+        self._limit = most if max_episode_steps is None else max_episode_steps
+        if not 1 <= self._limit <= most:
+            raise ConfigError(
+                f"max_episode_steps = {self._limit}; expected 1 to {most}, or a task with a longer episode_s"
+            )
         self._core = DroneCore(num_envs, self.settings)
         self._pictures = DronePictures(self.settings)
         self._steps = np.zeros(num_envs, dtype=np.int64)

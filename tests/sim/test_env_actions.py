@@ -74,7 +74,28 @@ def test_velocities_are_those_of_the_heading_frame() -> None:
     np.testing.assert_allclose(core.states.velocity_m_s[0], [-0.5, 1.0, -0.2], atol=0.05)
 
 
-@pytest.mark.parametrize("mode", ["attitude", "velocity"])
+def test_positions_are_relative_to_the_start_and_held_in_wind() -> None:
+    heading, wind = rotation_z(np.array(0.5 * np.pi)), Randomization(wind_m_s=Constant(2.0))
+    options = {"quat_wxyz": quat_wxyz_from_matrix(heading), "position_m": np.array([1.0, 0.5, 1.5])}
+    core = started(options=options, action="position", randomization=wind)
+    speeds = []
+    for _ in range(300):
+        flown(core, np.array([0.5, -0.25, 0.2, 0.0]), 1)
+        speeds.append(np.linalg.norm(core.states.velocity_m_s[0]))
+    np.testing.assert_allclose(core.states.position_m[0], [2.0, 0.0, 1.9], atol=0.05)
+    assert 0.5 < max(speeds) < 2.1
+
+
+def test_each_vehicle_has_its_own_start_and_keeps_it() -> None:
+    places = np.array([[0.0, 0.0, 1.5], [2.0, 1.0, 2.0]])
+    core = flown(started(2, {"position_m": places}, action="position"), np.array([0.2, 0.0, 0.0, 0.0]), 150)
+    np.testing.assert_allclose(core.states.position_m, places + [0.4, 0.0, 0.0], atol=0.05)
+    core.reset(np.array([False, True]), {"position_m": np.array([0.0, 0.0, 1.0]), "velocity_m_s": np.zeros(3)})
+    flown(core, np.zeros(4), 150)
+    np.testing.assert_allclose(core.states.position_m, [[0.0, 0.0, 1.5], [0.0, 0.0, 1.0]], atol=0.05)
+
+
+@pytest.mark.parametrize("mode", ["attitude", "velocity", "position"])
 def test_yaw_rates_turn_the_heading(mode: str) -> None:
     core = flown(started(action=mode), np.array([0.0, 0.0, 0.0, 0.3]), 50)
     yaw = float(yaw_rad_from_matrix(core.states.R_world_vehicle[0]))

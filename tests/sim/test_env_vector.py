@@ -1,7 +1,10 @@
 """Vector environments: the contract in all autoreset modes, equality with single ones, errors, and adapters."""
 
+import importlib.util
 import pickle
+import sys
 from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -227,6 +230,7 @@ def test_impossible_vectors_are_refused() -> None:
         ({"num_envs": 0}, "num_envs = 0"),
         ({"autoreset_mode": "never"}, "unknown autoreset_mode 'never'"),
         ({"max_episode_steps": 0}, "max_episode_steps = 0"),
+        ({"max_episode_steps": 501}, "max_episode_steps = 501; expected 1 to 500, or a task with a longer episode_s"),
         ({"render_mode": "human"}, "render mode 'human'"),
     ):
         with pytest.raises(ConfigError, match=message):
@@ -254,8 +258,40 @@ def test_impossible_calls_of_vectors_are_refused() -> None:
 # --- Stable-Baselines3
 
 
+class VecEnv:
+    """What the adapter inherits from Stable-Baselines3, where that is not installed."""
+
+    def __init__(self, num_envs: int, observation_space: Any, action_space: Any) -> None:
+        self.num_envs, self.observation_space, self.action_space = num_envs, observation_space, action_space
+        self.reset_infos: list[dict[str, Any]] = []
+        self._reset_seeds()
+        self._reset_options()
+
+    def seed(self, seed: int) -> None:
+        self._seeds: list[int | None] = [seed + row for row in range(self.num_envs)]
+
+    def _reset_seeds(self) -> None:
+        self._seeds = [None] * self.num_envs
+
+    def _reset_options(self) -> None:
+        self._options: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+
+    def step(self, actions: Any) -> Any:
+        self.step_async(actions)  # type: ignore[attr-defined]
+        return self.step_wait()  # type: ignore[attr-defined]
+
+
+@pytest.fixture
+def baselines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stable-Baselines3, or what the adapter needs of it."""
+    if importlib.util.find_spec("stable_baselines3") is None:
+        for name in ("stable_baselines3", "stable_baselines3.common", "stable_baselines3.common.vec_env"):
+            monkeypatch.setitem(sys.modules, name, SimpleNamespace(VecEnv=VecEnv))
+        monkeypatch.delitem(sys.modules, "dronevio.sim.envs.stable_baselines", raising=False)
+
+
+@pytest.mark.usefixtures("baselines")
 def test_the_adapter_has_the_interface_of_stable_baselines() -> None:
-    pytest.importorskip("stable_baselines3")
     from dronevio.sim.envs.stable_baselines import StableBaselinesVecEnv
 
     with pytest.raises(ConfigError, match="SAME_STEP"):
@@ -268,6 +304,12 @@ def test_the_adapter_has_the_interface_of_stable_baselines() -> None:
     assert rewards.dtype == np.float32 and infos == [{}, {}] and not ended.any()
     observations, _, ended, infos = envs.step(np.zeros((2, 4), np.float32))
     assert ended.all() and infos[0]["TimeLimit.truncated"] and not infos[0]["is_success"]
+    assert infos[1]["episode"]["l"] == 2 and infos[1]["episode"]["t"] >= 0.0
+    before = rewards[1]
+    _, rewards, _, _ = envs.step(np.zeros((2, 4), np.float32))
+    _, last, _, again = envs.step(np.zeros((2, 4), np.float32))
+    assert again[1]["episode"]["r"] == pytest.approx(rewards[1] + last[1], abs=1e-5)
+    assert again[1]["episode"]["l"] == 2 and before != rewards[1]
     assert infos[0]["terminal_observation"].shape == (38,)
     assert not np.array_equal(infos[0]["terminal_observation"], observations[0])
     envs.seed(0)

@@ -6,7 +6,7 @@ import os
 import pickle
 import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.wrappers import FrameStackObservation, NormalizeObservation, RecordVideo
 
-import dronevio.envs  # noqa: F401 registers
+import dronevio.envs
 from dronevio.models.actions import ACTION_MODES, ActionLimits
 from dronevio.models.errors import ConfigError, GraphicsError
 from dronevio.models.rig import Rig
@@ -79,15 +79,109 @@ def test_check_env_reports_nothing_for_any_mode(mode: str) -> None:
 def test_environments_are_made_by_module_and_id() -> None:
     with gymnasium.make("dronevio.envs:dronevio/Hover-v0") as env:
         assert isinstance(env.unwrapped, DroneEnv)
-        assert env.spec is not None and env.spec.max_episode_steps == 500
+        assert env.unwrapped.settings.episode_steps == 500
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_registered_time_limits_are_those_of_the_tasks(name: str) -> None:
-    limit = gymnasium.spec(env_id(name)).max_episode_steps
-    assert limit == settings_of(name).episode_steps
+def test_documented_time_limits_are_those_of_the_tasks(name: str) -> None:
+    assert gymnasium.spec(env_id(name)).max_episode_steps is None
     doc = type(TASKS[name]).__doc__ or ""
-    assert f"{limit} steps" in doc and env_id(name) in doc
+    assert f"{settings_of(name).episode_steps} steps" in doc and env_id(name) in doc
+
+
+def steps_until_truncation(env: Any, *, vector: bool = False) -> int:
+    """Return the number of steps of hovering after which an episode is truncated."""
+    env.reset(seed=0)
+    action = np.zeros((2, 4) if vector else 4, np.float32)
+    for step in range(1, 400):
+        _, _, terminated, truncated, _ = env.step(action)
+        assert not np.any(terminated)
+        if np.any(truncated):
+            return step
+    raise AssertionError("no time limit")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ({"task": Hover(episode_s=1.0)}, 50),
+        ({"task": Hover(episode_s=1.0), "action_rate_hz": 100.0}, 100),
+        ({"task": Hover(episode_s=1.0), "max_episode_steps": 20}, 20),
+    ],
+)
+def test_time_limits_follow_from_task_and_rate(arguments: dict[str, Any], expected: int) -> None:
+    with gymnasium.make("dronevio/Hover-v0", action="velocity", **arguments) as env:
+        assert steps_until_truncation(env) == expected
+    envs = gymnasium.make_vec("dronevio/Hover-v0", num_envs=2, action="velocity", **arguments)
+    assert steps_until_truncation(envs, vector=True) == expected
+
+
+def test_a_saved_state_knows_its_time_limit() -> None:
+    env = DroneEnv(Hover(episode_s=0.1), action="velocity")
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(np.zeros(4, np.float32))
+    other = pickle.loads(pickle.dumps(env))
+    assert [other.step(np.zeros(4, np.float32))[3] for _ in range(2)] == [False, True]
+
+
+def test_rigs_are_given_by_name() -> None:
+    assert settings_of("hover", rig="euroc-stereo").rig.cameras[1].T_imu_cam[0, 3] != 0.0
+    assert len(settings_of("hover", rig="euroc-stereo").rig.cameras) == 2
+    with pytest.raises(ConfigError, match="'stereo-2'"):
+        settings_of("hover", rig="stereo-2")
+
+
+def test_the_module_of_the_ids_has_tasks_and_settings() -> None:
+    from dronevio.envs import MODERATE, DroneVectorEnv, Randomization, Task
+
+    assert isinstance(MODERATE, Randomization) and DroneVectorEnv is not None and Task is not None
+    assert set(dir(dronevio.envs)) >= {type(task).__name__ for task in TASKS.values()}
+
+
+@dataclass(frozen=True)
+class Rewarded(Hover):
+    """Hovering with a reward that is given."""
+
+    reward: Any = 0.0
+
+    def reward_terms(self, *_: Any) -> dict[str, Any]:
+        """Return the given value."""
+        return {} if self.reward is None else {"mine": self.reward}
+
+
+@pytest.mark.parametrize(
+    ("reward", "message"),
+    [
+        (np.array([np.nan]), "reward term 'mine' of Rewarded with the value nan; expected 1 finite numbers"),
+        (np.zeros(3), r"of shape \(3,\) and type float64; expected 1"),
+        (0.5, r"of shape \(\)"),
+        (np.array(["a"]), "type <U1"),
+        (None, "returned no term"),
+    ],
+)
+def test_rewards_of_own_tasks_are_checked(reward: Any, message: str) -> None:
+    env = DroneEnv(Rewarded(reward=reward))
+    env.reset(seed=0)
+    with pytest.raises(ConfigError, match=message):
+        env.step(np.zeros(4, np.float32))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"rotor_speed_rad_s": np.full(4, 9e9)}, "'rotor_speed_rad_s' with 9e\\+09; expected 0 to 1000"),
+        ({"rotor_speed_rad_s": np.full(4, -1.0)}, "'rotor_speed_rad_s' with -1"),
+        ({"battery_charge": 1.5}, "'battery_charge' with 1.5; expected 0 to 1"),
+        ({"velocity_m_s": [1e6, 0.0, 0.0]}, "'velocity_m_s'"),
+        ({"rate_rad_s": [0.0, 0.0, 1e6]}, "'rate_rad_s'"),
+        ({"randomization": {"latency_s": -0.1}}, "'latency_s' with -0.1; expected 0 to inf"),
+        ({"randomization": {"light": -1.0}}, "'light'"),
+    ],
+)
+def test_options_outside_of_their_limits_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        DroneEnv("hover").reset(seed=0, options=options)
 
 
 def test_images_and_pictures_show_the_world() -> None:

@@ -9,6 +9,7 @@ and rotor speeds are interpolated linearly from 0 (at −1) over hover (at 0) to
 | ``rates`` | collective thrust, and angular velocity about x, y and z of the vehicle |
 | ``attitude`` | collective thrust, roll, pitch and yaw rate; positive roll tilts to the right, positive pitch forward |
 | ``velocity`` | velocity forward, to the left and up in the horizontal frame of the heading, and yaw rate |
+| ``position`` | place along x, y and z of the world from that of the start of the episode, and yaw rate |
 
 The vehicle frame is x forward, y left, z up. The inner loops of all modes but ``rotors`` run at the rate of the IMU on
 the true state, or on the estimate of an estimator if there is one, with the gains, the disturbance observers and the
@@ -17,7 +18,7 @@ nominal parameters of the controller that flies the scenarios (`dronevio.sim.phy
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -104,13 +105,56 @@ class ControlledFlight:
         self, loops: CascadeState, actions: Array, states: Callable[[], VehicleStates]
     ) -> tuple[Array, CascadeState]:
         """Return the rotor speeds (n, 4) [rad/s], and the next state of the loops."""
-        now, cascade = states(), self._cascade
+        return self.commands_by(self._law, loops, actions, states())
+
+    def commands_by(
+        self, law: Law, loops: CascadeState, actions: Array, now: VehicleStates
+    ) -> tuple[Array, CascadeState]:
+        """Return the rotor speeds (n, 4) [rad/s] by a law, and the next state of the loops."""
+        cascade = self._cascade
         body = Body(now.position_m, now.R_world_vehicle, now.velocity_m_s, now.rate_rad_s)
         loads = cascade.loads(loops, body)
         observed = cascade.observe(loops, body, loads)
-        wanted = self._law(actions, body, cascade, observed, self._limits)
+        wanted = law(actions, body, cascade, observed, self._limits)
         acceleration = cascade.angular_acceleration(observed, body, wanted.R_desired, wanted.rate_rad_s)
         return cascade.commands(observed, loads, wanted.thrust_n / loads.lift, acceleration)
+
+
+class PositionState(NamedTuple):
+    """State of the loops of the mode ``position``."""
+
+    cascade: CascadeState
+    """State of the inner loops."""
+    start_m: Array
+    """(n, 3) Places of the start of the episodes [m]."""
+
+
+class PositionFlight:
+    """Mode ``position``; implements `ActionMode`. The place of the start is part of the state of the loops."""
+
+    def __init__(self, quadrotor: Quadrotor, limits: ActionLimits, interval_s: float) -> None:
+        """Define the vehicle; see `ControlledFlight`."""
+        self._flight = ControlledFlight(quadrotor, limits, _velocity, interval_s)
+        self._limits = limits
+
+    def start(self, states: VehicleStates) -> PositionState:
+        """Return the state of the loops in steady motion, with the places of the start."""
+        return PositionState(self._flight.start(states), states.position_m.copy())
+
+    def commands(
+        self, loops: PositionState, actions: Array, states: Callable[[], VehicleStates]
+    ) -> tuple[Array, PositionState]:
+        """Return the rotor speeds (n, 4) [rad/s], and the next state of the loops."""
+        place_m, gains = loops.start_m + self._limits.position_m * actions[:, :3], Gains()
+
+        def toward(actions: Array, body: Body, cascade: Cascade, state: CascadeState, limits: ActionLimits) -> SetPoint:
+            wanted = gains.position_per_s2 / gains.velocity_per_s * (place_m - body.position_m)
+            speed = np.linalg.norm(wanted, axis=1, keepdims=True)
+            wanted *= np.minimum(1.0, limits.velocity_m_s / np.maximum(speed, 1e-9))
+            return _at_velocity(wanted, actions[:, 3], body, cascade, state, limits)
+
+        commands, cascade = self._flight.commands_by(toward, loops.cascade, actions, states())
+        return commands, PositionState(cascade, loops.start_m)
 
 
 def _rates(actions: Array, body: Body, cascade: Cascade, state: CascadeState, limits: ActionLimits) -> SetPoint:
@@ -131,14 +175,22 @@ def _attitude(actions: Array, body: Body, cascade: Cascade, state: CascadeState,
 
 def _velocity(actions: Array, body: Body, cascade: Cascade, state: CascadeState, limits: ActionLimits) -> SetPoint:
     """Return the set points of the mode ``velocity``."""
+    wanted = _turned(limits.velocity_m_s * actions[:, :3], _yaw_rad(body.R_world_vehicle))
+    return _at_velocity(wanted, actions[:, 3], body, cascade, state, limits)
+
+
+def _at_velocity(
+    wanted_m_s: Array, turn: Array, body: Body, cascade: Cascade, state: CascadeState, limits: ActionLimits
+) -> SetPoint:
+    """Return the set points for velocities (n, 3) in the world [m/s] and turns (n,) from −1 to 1."""
     yaw = _yaw_rad(body.R_world_vehicle)
-    error = _turned(limits.velocity_m_s * actions[:, :3], yaw) - body.velocity_m_s
+    error = wanted_m_s - body.velocity_m_s
     largest = limits.acceleration_m_s2 / Gains().velocity_per_s
     error *= np.minimum(1.0, largest / np.maximum(np.linalg.norm(error, axis=1), 1e-9))[:, None]
     force = cascade.specific_force(state, body, body.position_m, body.velocity_m_s + error)
     R = attitude_along(force, yaw)
     thrust = cascade.quadrotor.mass_kg * np.vecdot(force, body.R_world_vehicle[..., 2])
-    return SetPoint(np.maximum(thrust, 0.0), R, _yaw_rate(actions[:, 3], R, limits))
+    return SetPoint(np.maximum(thrust, 0.0), R, _yaw_rate(turn, R, limits))
 
 
 _LAWS: dict[str, Law] = {"rates": _rates, "attitude": _attitude, "velocity": _velocity}
@@ -160,6 +212,8 @@ def action_mode(name: str, quadrotor: Quadrotor, limits: ActionLimits, interval_
         raise ConfigError(f"unknown action mode {name!r}; expected one of {', '.join(ACTION_MODES)}")
     if name == "rotors":
         return RotorSpeeds(quadrotor)
+    if name == "position":
+        return PositionFlight(quadrotor, limits, interval_s)
     return ControlledFlight(quadrotor, limits, _LAWS[name], interval_s)
 
 

@@ -24,6 +24,7 @@ import numpy.typing as npt
 
 from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
+from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rotation import matrix_from_quat_wxyz
 from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.tasks import AnyTask
@@ -32,11 +33,14 @@ from dronevio.sim.physics.vehicle_states import VehicleStates
 Rows = npt.NDArray[np.intp]
 
 _STATES = ("position_m", "velocity_m_s", "rate_rad_s", "rotor_speed_rad_s", "battery_charge")
+_LIMITS = {"battery_charge": (0.0, 1.0), "velocity_m_s": (-1e4, 1e4), "rate_rad_s": (-1e4, 1e4)}
+_NOT_NEGATIVE = ("drag", "gusts", "latency_s", "imu_errors", "light")
 _KEYS = (*_STATES, "quat_wxyz", "goal_m", "randomization")
 
 
 def overridden(
     task: AnyTask,
+    quadrotor: Quadrotor,
     states: VehicleStates,
     goals: Any,
     randomized: RandomizedParameters,
@@ -48,6 +52,7 @@ def overridden(
 
     Args:
         task: The task.
+        quadrotor: The vehicle.
         states: Drawn initial states of k vehicles.
         goals: Drawn goals of k episodes.
         randomized: Randomized parameters of k episodes.
@@ -56,12 +61,15 @@ def overridden(
         count: Number n of all environments.
 
     Raises:
-        ConfigError: A key is unknown, or a value has a wrong shape or is not finite.
+        ConfigError: A key is unknown, or a value has a wrong shape, is not finite or not possible.
     """
     for key in options:
         if key not in _KEYS:
             raise ConfigError(f"unknown option {key!r} of a reset; expected some of {', '.join(_KEYS)}")
     given = {key: _rows_of(key, options[key], getattr(states, key), rows, count) for key in _STATES if key in options}
+    for key, (least, most) in _LIMITS.items():
+        _require_within(key, given.get(key), least, most)
+    _require_within("rotor_speed_rad_s", given.get("rotor_speed_rad_s"), 0.0, quadrotor.rotor_speed_max_rad_s)
     if "quat_wxyz" in options:
         quat = _rows_of("quat_wxyz", options["quat_wxyz"], np.zeros((len(rows), 4)), rows, count)
         if np.any(np.abs(np.linalg.norm(quat, axis=1) - 1.0) > 1e-3):
@@ -78,7 +86,7 @@ def _overridden(
     """Return randomized parameters with given values.
 
     Raises:
-        ConfigError: A name is unknown, or a value has a wrong shape or is not finite.
+        ConfigError: A name is unknown, or a value has a wrong shape, is not finite or negative where it cannot be.
     """
     known = [field.name for field in fields(randomized)]
     for name in values:
@@ -87,7 +95,16 @@ def _overridden(
     given: dict[str, Any] = {
         name: _rows_of(name, value, getattr(randomized, name), rows, count) for name, value in values.items()
     }
+    for name in _NOT_NEGATIVE:
+        _require_within(name, given.get(name), 0.0, np.inf)
     return replace(randomized, **given)
+
+
+def _require_within(name: str, values: Array | None, least: float, most: float) -> None:
+    """Raise ConfigError if a value is given and outside of its limits."""
+    if values is not None and not np.all((values >= least) & (values <= most)):
+        wrong = values[(values < least) | (values > most)].flat[0]
+        raise ConfigError(f"option {name!r} with {wrong:g}; expected {least:g} to {most:g}")
 
 
 def _rows_of(name: str, value: Any, drawn: Array, rows: Rows, count: int) -> Array:
