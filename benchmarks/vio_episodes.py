@@ -114,7 +114,7 @@ def flown(command: EpisodesCommand, seed: int) -> Episode:
     errors_m = [one["position_error_m"] for one in infos]
     return Episode(
         seed,
-        info["termination"] or "time limit",
+        info["termination"].text or "time limit",
         bool(info["success"]),
         info["t_ns"] * 1e-9,
         waited_s,

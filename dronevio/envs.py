@@ -84,6 +84,7 @@ __getattr__, __dir__ = attach(
     __name__,
     {
         "dronevio.sim.envs.episodes.distributions": ("Constant", "LogUniform", "Normal", "Uniform"),
+        "dronevio.sim.envs.episodes.endings": ("Termination",),
         "dronevio.sim.envs.episodes.randomization": ("MODERATE", "Randomization"),
         "dronevio.sim.envs.settings": ("EnvironmentSettings",),
         "dronevio.sim.envs.single": ("DroneEnv",),

@@ -15,6 +15,7 @@ from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.policies.policy import Policy
 from dronevio.models.progress import Progress, silent
+from dronevio.sim.envs.episodes.endings import Termination
 from dronevio.sim.envs.policies.goal_flight import fly_to_goal
 from dronevio.sim.envs.settings import EnvironmentSettings
 
@@ -22,6 +23,7 @@ MOST_AT_ONCE = 256
 """Largest number of environments that are stepped together."""
 TIME_LIMIT = "time limit"
 """Name of the end of an episode that is not terminated."""
+_TEXTS = np.array([each.text for each in Termination])
 BASELINES = ("planner", "straight")
 """Names of the policies without learning: one that maps and plans, and one that flies straight to the goal."""
 NAVIGATE = "dronevio/Navigate-v0"
@@ -184,7 +186,7 @@ def _evaluated(policy: Policy, envs: Any, seed: int) -> PolicyEvaluation:
         steps += running
         last = running & (terminated | truncated)
         success[last], distance_m[last] = infos["success"][last], infos["distance_m"][last]
-        ends[last] = np.where(terminated, infos["termination"], TIME_LIMIT)[last]
+        ends[last] = np.where(terminated, _TEXTS[infos["termination"]], TIME_LIMIT)[last]
         running &= ~last
     settings = envs.unwrapped.settings
     return PolicyEvaluation(
@@ -296,7 +298,7 @@ def _flown(policy: Baseline, env: Any, seed: int) -> tuple[bool, float, float, i
     while not (terminated or truncated):
         observation, gained, terminated, truncated, info = env.step(policy.action(observation))
         reward, steps = reward + float(gained), steps + 1
-    end = str(info["termination"]) if terminated else TIME_LIMIT
+    end = info["termination"].text if terminated else TIME_LIMIT
     return bool(info["success"]), float(info["distance_m"]), reward, steps, end
 
 

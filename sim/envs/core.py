@@ -12,7 +12,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
 from dronevio.models.rotation import pose_matrix
 from dronevio.sim.envs.episodes.actions import action_mode, checked_actions, merged
-from dronevio.sim.envs.episodes.endings import GROUND_M, REASONS, Bounds, failures
+from dronevio.sim.envs.episodes.endings import GROUND_M, Bounds, Termination, failures
 from dronevio.sim.envs.episodes.latency import DelayedActions
 from dronevio.sim.envs.episodes.options import overridden
 from dronevio.sim.envs.episodes.randomization import RandomizedParameters
@@ -230,10 +230,10 @@ class DroneCore:
         terms = _checked_terms(task, task.reward_terms(self.area, last.goals, goals, step), self.count)
         images = None if last.images is None else last.images.one_step_later()
         self._episode = EpisodeState(last.randomized, goals, after, last.begun_ns, action, delayed, loops, images)
-        reason = np.where((reason == 0) & task.finished(goals), REASONS.index("success"), reason)
+        reason = np.where((reason == 0) & task.finished(goals), Termination.SUCCESS, reason)
         info = {
             "success": task.success(self.area, goals, step) & ~step.failed,
-            "termination": np.array(REASONS)[reason],
+            "termination": reason,
             "reward_terms": terms,
             **self._state_info(),
         }

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from dronevio.models.errors import ConfigError
 from dronevio.sim.envs.core import DroneCore
 from dronevio.sim.envs.episodes.actions import action_space
+from dronevio.sim.envs.episodes.endings import Termination
 from dronevio.sim.envs.info import Info, row_of
 from dronevio.sim.envs.rendering import RENDER_MODES, DronePictures, check_render_mode, possible_render_modes
 from dronevio.sim.envs.sensing.arrangement import rows_of
@@ -46,8 +47,8 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
     | key | content |
     |---|---|
     | ``success`` | whether the vehicle does what the task demands; not after a reset |
-    | ``termination`` | reason of a termination, empty otherwise: ``success``, ``no estimate``, ``flipped``, \
-``out of bounds``, ``ground``, ``collision`` or ``diverged``; not after a reset |
+    | ``termination`` | why the episode has terminated, a `Termination`: ``NONE`` (0), ``SUCCESS``, ``NO_ESTIMATE``, \
+``FLIPPED``, ``OUT_OF_BOUNDS``, ``GROUND``, ``COLLISION`` or ``DIVERGED``; not after a reset |
     | ``reward_terms`` | terms of the reward by name; not after a reset |
     | ``distance_m`` | distance from the current goal [m] |
     | ``t_ns`` | time since the start of the episode [ns] |
@@ -131,6 +132,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
         self._steps += 1
         self._show()
         observation, info = rows_of(self._core.observe(), 0), row_of(result.info, 0)
+        info["termination"] = Termination(info["termination"])
         is_over = self._steps >= self.settings.episode_steps
         return observation, float(result.reward[0]), bool(result.terminated[0]), is_over, info
 

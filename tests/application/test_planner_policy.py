@@ -166,7 +166,7 @@ def test_it_receives_the_observation_alone_and_reaches_a_goal_behind_a_tree() ->
             action = policy.action({name: observed[name] for name in OBSERVATIONS})
             observed, _, terminated, truncated, info = env.step(action)
             ended = terminated or truncated
-    assert info["success"] and info["termination"] == "success" and info["t_ns"] < 15e9
+    assert info["success"] and info["termination"].text == "success" and info["t_ns"] < 15e9
 
 
 def test_command_evaluates_baselines(capsys: pytest.CaptureFixture[str]) -> None:

@@ -227,7 +227,7 @@ def test_an_estimator_without_state_ends_the_episode() -> None:
     _, info = env.reset(seed=0)
     assert estimators[0].imu_ns[-1] == 500_000_000 and info["health"] == "initializing"
     _, reward, terminated, truncated, info = env.step(np.zeros(4))
-    assert terminated and not truncated and info["termination"] == "no estimate" and not info["success"]
+    assert terminated and not truncated and info["termination"].text == "no estimate" and not info["success"]
     assert float(reward) < -90.0
 
 
@@ -360,7 +360,7 @@ def test_vio_hover_lands_on_the_truth() -> None:
         observation, _, terminated, _, info = env.step(fly_to_goal(observation))
         highest = max(highest, float(env._core.states.position_m[0, 2]))
         assert info["t_ns"] < 10e9
-    assert info["success"] and info["termination"] == "success" and info["reward_terms"]["landed"] == 100.0
+    assert info["success"] and info["termination"].text == "success" and info["reward_terms"]["landed"] == 100.0
     assert 0.35 < highest < 0.55
 
 

@@ -15,6 +15,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 import dronevio.envs  # noqa: F401 registers
 from dronevio.models.errors import ConfigError
+from dronevio.sim.envs.episodes.endings import Termination
 from dronevio.sim.envs.episodes.randomization import MODERATE
 from dronevio.sim.envs.single import DroneEnv
 from dronevio.sim.envs.tasks import TASKS
@@ -220,6 +221,21 @@ def test_the_next_step_resets_and_ignores_the_action() -> None:
     assert rewards[0] == 0.0 < rewards[1] and truncated.tolist() == [False, True]
     assert infos["t_ns"].tolist() == [0, 40_000_000]
     assert infos["_randomization"].tolist() == [True, False] and infos["_success"].tolist() == [False, True]
+
+
+def leaves(values: Any) -> list[Any]:
+    """Return the arrays of nested dicts."""
+    return [leaf for value in values.values() for leaf in (leaves(value) if isinstance(value, dict) else [value])]
+
+
+def test_infos_are_numbers_that_other_libraries_can_hold() -> None:
+    """Gymnasium's conversion to PyTorch passes them as DLPack, which has no text."""
+    envs = DroneVectorEnv(2, "hover", randomization=MODERATE, max_episode_steps=2)
+    _, begun = envs.reset(seed=0)
+    steps = [envs.step(np.zeros((2, 4), np.float32))[-1] for _ in range(4)]
+    for leaf in leaves({"begun": begun, **{str(k): info for k, info in enumerate(steps)}}):
+        np.from_dlpack(leaf)
+    assert steps[0]["termination"].tolist() == [Termination.NONE, Termination.NONE]
 
 
 # --- errors

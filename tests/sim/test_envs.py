@@ -301,7 +301,7 @@ def test_failures_end_the_episode_with_a_reason(action: Any, options: Any, reaso
         observation, reward, terminated, truncated, info = env.step(np.array(action))
         assert observation in env.observation_space and np.isfinite(float(reward)) and not truncated
         assert info["t_ns"] <= latest_s * 1e9
-    assert info["termination"] == reason and not info["success"]
+    assert info["termination"].text == reason and not info["success"]
 
 
 def test_obstacles_end_the_episode() -> None:
@@ -314,7 +314,7 @@ def test_obstacles_end_the_episode() -> None:
         *_, terminated, _, info = env.step(np.zeros(4))
         if terminated:
             break
-    assert terminated and info["termination"] == "collision"
+    assert terminated and info["termination"].text == "collision"
 
 
 def test_success_ends_the_episode_of_navigation() -> None:
@@ -325,7 +325,7 @@ def test_success_ends_the_episode_of_navigation() -> None:
         assert reward == pytest.approx(sum(info["reward_terms"].values()))
         if terminated:
             break
-    assert terminated and info["success"] and info["termination"] == "success"
+    assert terminated and info["success"] and info["termination"].text == "success"
     assert info["distance_m"] < 0.5 and info["reward_terms"]["reached"] == 10.0
 
 

@@ -237,7 +237,7 @@ def test_a_collision_ends_an_exploration() -> None:
         *_, reward, ended, _, info = env.step(np.array([1.0, 0.0, 0.0, 0.0], np.float32))
         if ended:
             break
-    assert ended and info["termination"] == "collision" and not info["success"]
+    assert ended and info["termination"].text == "collision" and not info["success"]
     assert info["reward_terms"]["failure"] == -10.0 and float(reward) < -9.0
 
 

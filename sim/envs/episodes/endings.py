@@ -1,6 +1,7 @@
-"""Ends of episodes: the reasons why episodes terminate, by their index."""
+"""Ends of episodes: why they terminate."""
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
@@ -8,11 +9,33 @@ import numpy.typing as npt
 from dronevio.models.arrays import Array, Mask
 from dronevio.sim.physics.vehicle_states import VehicleStates
 
-REASONS = ("", "success", "no estimate", "flipped", "out of bounds", "ground", "collision", "diverged")
-"""Reasons of a termination in ``info["termination"]``; empty while an episode goes on. If several apply, the last one
-in this order is given."""
-FIRST_FAILURE = 2
-"""Index of the first reason that is a failure."""
+
+class Termination(IntEnum):
+    """Why an episode has terminated, as a number that arrays can hold. If several apply, the last one counts."""
+
+    NONE = 0
+    """It goes on, or was truncated."""
+    SUCCESS = 1
+    """The task is done."""
+    NO_ESTIMATE = 2
+    """The vehicle flew without a state of its estimator."""
+    FLIPPED = 3
+    """It was upside down."""
+    OUT_OF_BOUNDS = 4
+    """It left the box of the task."""
+    GROUND = 5
+    """It flew into the ground."""
+    COLLISION = 6
+    """It touched an obstacle."""
+    DIVERGED = 7
+    """The simulation has diverged."""
+
+    @property
+    def text(self) -> str:
+        """The reason in words; empty for `NONE`."""
+        return "" if self is Termination.NONE else self.name.lower().replace("_", " ")
+
+
 GROUND_M = 0.03
 """Height above that of the standing vehicle below which a flight has ended on the ground [m]."""
 
@@ -30,7 +53,7 @@ class Bounds:
 def failures(
     states: VehicleStates, touched: Mask, diverged: Mask, unestimated: Mask, bounds: Bounds
 ) -> npt.NDArray[np.int64]:
-    """Return the indices (n,) in `REASONS` of the failures of n vehicles; 0 without a failure.
+    """Return the failures (n,) of n vehicles as numbers of `Termination`; 0 without a failure.
 
     Args:
         states: States of the vehicles.
@@ -42,14 +65,13 @@ def failures(
     position = states.position_m
     reason = np.zeros(len(position), dtype=np.int64)
     outside = (position < bounds.box_m[0]) | (position > bounds.box_m[1])
-    failed = {
-        "no estimate": unestimated,
-        "flipped": states.R_world_vehicle[:, 2, 2] < 0.0,
-        "out of bounds": outside.any(axis=1),
-        "ground": position[:, 2] < bounds.ground_m,
-        "collision": touched,
-        "diverged": diverged,
-    }
-    for name in REASONS[FIRST_FAILURE:]:
-        reason[failed[name]] = REASONS.index(name)
+    for termination, failed in (
+        (Termination.NO_ESTIMATE, unestimated),
+        (Termination.FLIPPED, states.R_world_vehicle[:, 2, 2] < 0.0),
+        (Termination.OUT_OF_BOUNDS, outside.any(axis=1)),
+        (Termination.GROUND, position[:, 2] < bounds.ground_m),
+        (Termination.COLLISION, touched),
+        (Termination.DIVERGED, diverged),
+    ):
+        reason[failed] = termination
     return reason

@@ -11,7 +11,7 @@ from dronevio.models.policies.outcome import PolicyOutcome
 from dronevio.models.policies.policy import Policy
 from dronevio.models.quadrotor import vehicle_named
 from dronevio.models.rotation import inverse_pose
-from dronevio.sim.envs.episodes.endings import GROUND_M, REASONS, Bounds, failures
+from dronevio.sim.envs.episodes.endings import GROUND_M, Bounds, Termination, failures
 from dronevio.sim.envs.tasks import TASKS, AnyTask, Race, Transition
 from dronevio.sim.envs.tasks.task import distance_m
 from dronevio.sim.flight import Flight, plant_of
@@ -123,7 +123,7 @@ def policy_outcome(mission: PolicyMission, flight: Flight, began_ns: int | None)
         reason = int(failures(now, none, none, none, mission.bounds)[0])
         if reason or task.finished(goals)[0] or t_s >= task.episode_s - 1e-9:
             success &= not reason
-            end = REASONS[reason] or ("success" if task.finished(goals)[0] else "time limit")
+            end = Termination(reason).text or ("success" if task.finished(goals)[0] else "time limit")
             break
     else:
         success = False
