@@ -108,7 +108,7 @@ def picture(name: str) -> npt.NDArray[np.uint8]:
         for _ in range(scene.steps):
             *_, terminated, _, info = env.step(np.array(scene.action, np.float32))
             if terminated:
-                raise RuntimeError(f"the episode of {name} ends: {info['termination']}")
+                raise RuntimeError(f"the episode of {name} ends: {info['termination'].text}")
         shown: Any = env.render()
     return np.asarray(shown, dtype=np.uint8)
 
