@@ -12,7 +12,7 @@ import numpy.typing as npt
 import dronevio.envs  # noqa: F401 registers the environments
 from dronevio.models.actions import ActionLimits
 from dronevio.models.arrays import Array
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import ConfigError, unknown_name
 from dronevio.models.policies.policy import Policy
 from dronevio.models.progress import Progress, silent
 from dronevio.sim.envs.episodes.endings import Termination
@@ -306,4 +306,4 @@ def _require_registered(environment: str) -> None:
     """Raise ConfigError if there is no environment with an id."""
     if environment not in gymnasium.registry:
         known = sorted(one for one in gymnasium.registry if one.startswith("dronevio/"))
-        raise ConfigError(f"unknown environment {environment!r}; expected one of {', '.join(known)}")
+        raise unknown_name("environment", environment, known)

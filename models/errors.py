@@ -1,5 +1,6 @@
 """Errors that are caused by input or settings, and that the user can correct."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 DEFECT = "a defect in dronevio"
@@ -48,3 +49,20 @@ class EvaluationError(DronevioError):
 
 class IncompleteError(DronevioError):
     """A long operation stopped early, for example because the disk is full; the finished part can be read."""
+
+
+def unknown_name(what: str, name: str, known: Iterable[str]) -> ConfigError:
+    """Return the error for a name that is none of the known ones, with those that are like it.
+
+    Args:
+        what: What has the name, such as ``world``.
+        name: The name.
+        known: The names that exist.
+    """
+    from difflib import get_close_matches
+
+    names = list(known)
+    lower = {each.lower(): each for each in reversed(names)}
+    like = [lower[each] for each in get_close_matches(str(name).lower(), list(lower), 3, 0.6)]
+    hint = f"; did you mean {' or '.join(like)}?" if like else ""
+    return ConfigError(f"unknown {what} {name!r}; expected one of {', '.join(names)}{hint}")

@@ -12,7 +12,7 @@ are larger, as is usual for the parameters of an estimator.
 
 import math
 
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import unknown_name
 from dronevio.models.imu import EUROC_IMU, STANDARD_GRAVITY_M_S2, ImuModel
 
 _RANDOM_WALK_FROM_S = 1000.0
@@ -170,5 +170,5 @@ def imu_named(name: str) -> ImuModel:
         ConfigError: There is no IMU with this name.
     """
     if name not in IMUS:
-        raise ConfigError(f"unknown IMU {name!r}; expected one of {', '.join(IMUS)}")
+        raise unknown_name("IMU", name, IMUS)
     return IMUS[name]

@@ -11,7 +11,7 @@ import numpy as np
 
 from dronevio.models.arrays import Array
 from dronevio.models.battery import Battery
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import unknown_name
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.vibration import NO_VIBRATION, RotorVibration
@@ -159,5 +159,5 @@ def vehicle_named(name: str) -> Quadrotor:
         ConfigError: There is no vehicle with this name.
     """
     if name not in VEHICLES:
-        raise ConfigError(f"unknown vehicle {name!r}; expected one of {', '.join(VEHICLES)}")
+        raise unknown_name("vehicle", name, VEHICLES)
     return VEHICLES[name]

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from dronevio.models.camera import CameraModel
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import unknown_name
 from dronevio.models.imu import EUROC_IMU, ImuModel
 from dronevio.models.imu_presets import BMI088
 from dronevio.models.rig import EUROC_CAM1, EUROC_T_IMU_CAM1, Rig, RigCamera, euroc_rig
@@ -115,5 +115,5 @@ def rig_named(name: str) -> Rig:
         ConfigError: There is no rig with this name.
     """
     if name not in RIGS:
-        raise ConfigError(f"unknown rig {name!r}; expected one of {', '.join(RIGS)}")
+        raise unknown_name("rig", name, RIGS)
     return RIGS[name]()

@@ -7,7 +7,7 @@ the next version, and the old version remains.
 import math
 from dataclasses import replace
 
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import ConfigError, unknown_name
 from dronevio.models.quadrotor import NANO
 from dronevio.models.rig_presets import rig_named
 from dronevio.sim.cameras.exposure import AutoExposure
@@ -291,7 +291,7 @@ def scenario_named(name: str, seed: int | None = None) -> Scenario:
     """
     versions = [known for known in SCENARIOS if known == name or known.rpartition("-v")[0] == name]
     if not versions:
-        raise ConfigError(f"unknown scenario {name!r}; expected one of {', '.join(SCENARIOS)}")
+        raise unknown_name("scenario", name, SCENARIOS)
     if seed is None:
         return SCENARIOS[versions[-1]]
     if seed < 0:

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from dronevio.models.arrays import Array
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import unknown_name
 from dronevio.models.scenery import Scenery, TexturedMesh
 from dronevio.sim.appearance.lightmap import bake, daylight
 from dronevio.sim.appearance.scenery import paint_pages, painted
@@ -279,7 +279,7 @@ def require_world(name: str) -> None:
         ConfigError: There is no world of that name.
     """
     if name not in WORLDS:
-        raise ConfigError(f"unknown world {name!r}; expected one of {', '.join(WORLDS)}")
+        raise unknown_name("world", name, WORLDS)
 
 
 @lru_cache(maxsize=2)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from dronevio.cli.terminal import parse, print_table
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import ConfigError, unknown_name
 
 if TYPE_CHECKING:
     from nbformat import NotebookNode
@@ -81,7 +81,7 @@ def lesson_source(name: str) -> str:
         ConfigError: There is no lesson with this name.
     """
     if name not in LESSONS:
-        raise ConfigError(f"unknown lesson {name!r}; expected one of {', '.join(LESSONS)}")
+        raise unknown_name("lesson", name, LESSONS)
     return (files("dronevio.book") / "lessons" / f"{name}.py").read_text(encoding="utf-8")
 
 

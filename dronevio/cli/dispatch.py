@@ -4,7 +4,7 @@ import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import unknown_name
 
 HELP = ("-h", "--help", "--help-all", "help")
 
@@ -62,5 +62,5 @@ class CommandGroup:
         name, *rest = arguments
         if name not in self.subcommands:
             words = " ".join([*self.program.split()[1:], name])
-            raise ConfigError(f"unknown command {words!r}; expected one of {', '.join(self.subcommands)}")
+            raise unknown_name("command", words, self.subcommands)
         return int(importlib.import_module(self.subcommands[name].module).main(rest))

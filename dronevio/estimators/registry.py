@@ -14,7 +14,7 @@ from dronevio.estimators.python_estimator import PREFIX as PYTHON
 from dronevio.estimators.python_estimator import PythonEstimator
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.defects import Defect, refuse_defects
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import ConfigError, unknown_name
 from dronevio.models.protocols import Estimator
 from dronevio.models.rig import Rig
 from dronevio.models.serialization import to_jsonable
@@ -230,10 +230,7 @@ def estimator_named(text: str) -> NamedEstimator:
     external = EXTERNAL.match(name)
     if external is None:
         if name not in ESTIMATORS:
-            names = ", ".join(ESTIMATORS)
-            raise ConfigError(
-                f"unknown estimator {name!r}; expected one of {names}, python:package.module:Class, or external:COMMAND"
-            )
+            raise unknown_name("estimator", name, (*ESTIMATORS, "python:package.module:Class", "external:COMMAND"))
         return NamedEstimator(label, name)
     try:
         words = shlex.split(name[external.end() :])

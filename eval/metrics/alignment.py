@@ -13,7 +13,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from dronevio.models.arrays import Array
-from dronevio.models.errors import ConfigError, EvaluationError
+from dronevio.models.errors import ConfigError, EvaluationError, unknown_name
 from dronevio.models.quaternions import quat_product_wxyz
 from dronevio.models.rotation import matrix_from_quat_wxyz, quat_wxyz_from_matrix, rotation_z, yaw_rad_from_matrix
 from dronevio.models.state import Trajectory
@@ -96,7 +96,7 @@ def align(
         EvaluationError: There are no positions, they do not determine the alignment, or orientations are missing.
     """
     if mode not in get_args(AlignmentMode):
-        raise ConfigError(f"unknown alignment {mode!r}; expected one of {', '.join(get_args(AlignmentMode))}")
+        raise unknown_name("alignment", mode, get_args(AlignmentMode))
     if n is not None and n < 1:
         raise ConfigError(f"an alignment over {n} poses; expected at least one")
     truth, estimate = np.asarray(p_truth, dtype=np.float64), np.asarray(p_estimate, dtype=np.float64)

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.arrays import Array
-from dronevio.models.errors import ConfigError, EvaluationError
+from dronevio.models.errors import EvaluationError, unknown_name
 from dronevio.models.imu import Times
 from dronevio.models.quaternions import slerp_quat_wxyz
 from dronevio.models.state import Trajectory
@@ -40,7 +40,7 @@ def associate(
         EvaluationError: Fewer than three poses can be associated.
     """
     if how not in get_args(Association):
-        raise ConfigError(f"unknown association {how!r}; expected one of {', '.join(get_args(Association))}")
+        raise unknown_name("association", how, get_args(Association))
     limit_s = _MAX_GAP_S[how] if max_gap_s is None else max_gap_s
     if how == "interpolate":
         true, rows = interpolate(truth, estimate.t_ns, limit_s)

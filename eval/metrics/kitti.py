@@ -15,7 +15,7 @@ import numpy.typing as npt
 from dronevio.eval.metrics.alignment import umeyama
 from dronevio.eval.metrics.pairs import path_lengths_m
 from dronevio.models.arrays import Array
-from dronevio.models.errors import ConfigError, EvaluationError
+from dronevio.models.errors import EvaluationError, unknown_name
 
 Frames = npt.NDArray[np.int64]
 
@@ -69,7 +69,7 @@ def kitti_scores(
         EvaluationError: An estimated frame has no true pose, or truth and estimate cannot be aligned.
     """
     if alignment not in get_args(KittiAlignment):
-        raise ConfigError(f"unknown alignment {alignment!r}; expected one of {', '.join(get_args(KittiAlignment))}")
+        raise unknown_name("alignment", alignment, get_args(KittiAlignment))
     frames = np.arange(len(Ts_estimate)) if frames is None else frames
     if len(frames) != len(Ts_estimate) or len(frames) < 2 or frames[-1] >= len(Ts_truth):
         raise EvaluationError(

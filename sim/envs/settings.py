@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Annotated, Any
 
 from dronevio.models.actions import ACTION_MODES, ActionLimits
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import ConfigError, unknown_name
 from dronevio.models.quadrotor import RESEARCH, Quadrotor, vehicle_named
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig, euroc_rig
@@ -82,7 +82,7 @@ class EnvironmentSettings(Settings):
         """
         super().__post_init__()
         if self.action not in ACTION_MODES:
-            raise ConfigError(f"unknown action mode {self.action!r}; expected one of {', '.join(ACTION_MODES)}")
+            raise unknown_name("action mode", self.action, ACTION_MODES)
         groups: dict[str, Any] = {"observations": self.observations, "privileged": self.privileged}
         for name, group in groups.items():
             if isinstance(group, str):

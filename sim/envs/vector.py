@@ -8,7 +8,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from dronevio.models.arrays import Array, Mask
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import ConfigError, unknown_name
 from dronevio.sim.envs.core import DroneCore
 from dronevio.sim.envs.episodes.actions import action_space
 from dronevio.sim.envs.info import Info, with_masks
@@ -237,7 +237,7 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
     for known in AutoresetMode:
         if mode in (known, known.name, known.value):
             return known
-    raise ConfigError(f"unknown autoreset_mode {mode!r}; expected one of {', '.join(m.name for m in AutoresetMode)}")
+    raise unknown_name("autoreset_mode", str(mode), (m.name for m in AutoresetMode))
 
 
 def _checked_mask(mask: Any, count: int) -> Mask:

@@ -16,7 +16,7 @@ import numpy as np
 
 from dronevio.models.arrays import Image
 from dronevio.models.camera import CameraModel
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import unknown_name
 from dronevio.models.progress import Progress, silent
 from dronevio.sim.pictures.contact_sheet import taken_views
 from dronevio.sim.rendering import world_files
@@ -81,7 +81,7 @@ def pictures_of_worlds(
     """
     for name in names:
         if name not in WORLDS:
-            raise ConfigError(f"unknown world {name!r}; expected one of {', '.join(WORLDS)}")
+            raise unknown_name("world", name, WORLDS)
     files = {name: _file(f"{name} {seed} {count} {camera}") for name in names}
     by_world = {name: _read(file, count, camera) for name, file in files.items()}
     missing = [name for name, pictures in by_world.items() if pictures is None]

@@ -132,4 +132,4 @@ def test_command_flies_and_prints(
     assert only["outcome"] == "reached" and only["plan_p99_ms"] > 0.0
     assert 0.0 < only["planning_cpu_per_s"] < only["cpu_per_s"]
     assert main(["benchmark", "--suite", "explore", "--variants", "rain"]) == 2
-    assert "unknown variant 'rain'" in capsys.readouterr().err
+    assert "unknown variant of the suite explore 'rain'" in capsys.readouterr().err

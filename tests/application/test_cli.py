@@ -97,7 +97,9 @@ def test_unknown_command_is_bad_input(arguments: list[str], capsys: pytest.Captu
     assert captured.out == ""
     group: CommandGroup = GROUPS.get(arguments[0], COMMANDS)
     words = " ".join(arguments[: 2 if arguments[0] in GROUPS else 1])
-    assert captured.err == f"dronevio: unknown command {words!r}; expected one of {', '.join(group.subcommands)}\n"
+    expected = f"dronevio: unknown command {words!r}; expected one of {', '.join(group.subcommands)}"
+    hint = "; did you mean run?" if arguments == ["Run"] else ""
+    assert captured.err.startswith(expected + hint) and captured.err.count("\n") == 1
 
 
 def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:

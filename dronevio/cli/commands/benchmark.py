@@ -11,7 +11,7 @@ from dronevio.cli import report_defect
 from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.progress import LineBars
 from dronevio.cli.terminal import parse, print_defects, print_json, print_table, print_warning
-from dronevio.models.errors import DEFECT, ConfigError, InputError
+from dronevio.models.errors import DEFECT, ConfigError, InputError, unknown_name
 from dronevio.models.ranges import Range, Settings
 
 if TYPE_CHECKING:
@@ -207,7 +207,7 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
     from dronevio.sim.scenarios import SUITES
 
     if command.suite is not None and command.suite not in SUITES:
-        raise ConfigError(f"unknown suite {command.suite!r}; expected one of {', '.join((*SUITES, EXPLORE))}")
+        raise unknown_name("suite", command.suite, (*SUITES, EXPLORE))
     names = [*([command.suite] if command.suite else []), *command.scenarios]
     words = [[given] if EXTERNAL.search(given) else given.split(",") for given in command.estimators]
     estimators = tuple(estimator_named(word.strip()) for group in words for word in group if word.strip())

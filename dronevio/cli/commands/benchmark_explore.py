@@ -16,7 +16,7 @@ from dronevio.benchmark.exploration import (
     summaries,
 )
 from dronevio.cli.terminal import print_json, print_table, progress_bars
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import unknown_name
 
 
 def run_explore_suite(
@@ -40,7 +40,7 @@ def run_explore_suite(
 
     for name in groups:
         if name not in GROUPS:
-            raise ConfigError(f"unknown variant {name!r} of the suite explore; expected one of {', '.join(GROUPS)}")
+            raise unknown_name("variant of the suite explore", name, GROUPS)
     require_gl()
     folder = out or Path("benchmarks") / "explore"
     with progress_bars(quiet=json) as bars:

@@ -26,7 +26,7 @@ from gymnasium import spaces
 
 from dronevio.models.actions import ACTION_MODES, ActionLimits
 from dronevio.models.arrays import Array, Mask
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import ConfigError, unknown_name
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.sim.physics.cascade import Body, Cascade, CascadeState, attitude_along
 from dronevio.sim.physics.gains import Gains
@@ -209,7 +209,7 @@ def action_mode(name: str, quadrotor: Quadrotor, limits: ActionLimits, interval_
         ConfigError: There is no such mode.
     """
     if name not in ACTION_MODES:
-        raise ConfigError(f"unknown action mode {name!r}; expected one of {', '.join(ACTION_MODES)}")
+        raise unknown_name("action mode", name, ACTION_MODES)
     if name == "rotors":
         return RotorSpeeds(quadrotor)
     if name == "position":

@@ -1,6 +1,6 @@
 """Tasks of the environments: how episodes start, what is rewarded, and when they end."""
 
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import unknown_name
 from dronevio.sim.envs.tasks.explore import Explore
 from dronevio.sim.envs.tasks.hover import Hover
 from dronevio.sim.envs.tasks.navigate import Navigate
@@ -49,5 +49,5 @@ def task_named(name: str) -> AnyTask:
         ConfigError: There is no task with this name.
     """
     if name not in TASKS:
-        raise ConfigError(f"unknown task {name!r}; expected one of {', '.join(TASKS)}")
+        raise unknown_name("task", name, TASKS)
     return TASKS[name]
