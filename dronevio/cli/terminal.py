@@ -38,6 +38,12 @@ MAX_RUN_WARNINGS = 5
 """Number of warnings of an estimator that are printed."""
 
 
+def with_scenario(arguments: Sequence[str]) -> list[str]:
+    """Return the words of a command, of which a first one that is no option names the scenario, as an option."""
+    named = bool(arguments) and not arguments[0].startswith("-")
+    return ["--scenario", *arguments] if named else list(arguments)
+
+
 def parse(
     command: type[Command], arguments: Sequence[str], name: str, defaults: Mapping[str, object] = MappingProxyType({})
 ) -> Command:

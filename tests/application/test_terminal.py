@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from dronevio.cli import main
 from dronevio.cli.commands.benchmark import print_benchmark
 from dronevio.cli.options import Output, OutputOptions, RecordingInput, RecordingOptions
-from dronevio.cli.terminal import parse, print_table, print_values
+from dronevio.cli.terminal import parse, print_table, print_values, with_scenario
 from dronevio.models.errors import ConfigError
 from tests.rows import row_of
 
@@ -137,3 +138,22 @@ def test_wrong_options_are_named_on_one_line(capsys: pytest.CaptureFixture[str])
 def test_fewer_cameras_than_one_are_refused(cameras: int, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=f"RecordingOptions.cameras = {cameras}; expected a whole number, 1 to 16"):
         RecordingOptions(cameras=cameras).open(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ([], []),
+        (["room", "--seed", "3"], ["--scenario", "room", "--seed", "3"]),
+        (["--seed", "3"], ["--seed", "3"]),
+        (["--scenario", "room"], ["--scenario", "room"]),
+    ],
+)
+def test_a_first_word_names_the_scenario(words: list[str], expected: list[str]) -> None:
+    assert with_scenario(words) == expected
+
+
+@pytest.mark.parametrize("command", ["run", "fly", "explore"])
+def test_flights_take_the_scenario_as_a_word(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([command, "rom"]) == 2
+    assert "'rom'" in capsys.readouterr().err

@@ -22,6 +22,7 @@ from dronevio.cli.terminal import (
     print_table,
     print_values,
     progress_bars,
+    with_scenario,
 )
 from dronevio.models.ranges import Range, Settings
 from dronevio.sim.faults import Faults
@@ -59,7 +60,7 @@ class ExploreCommand(Settings):
 
     Examples:
       dronevio explore
-      dronevio explore --scenario forest --seed 3
+      dronevio explore forest --seed 3
       dronevio explore --goal 2 -5.5 1.2
       dronevio explore --task cover --time-s 60
       dronevio explore --scenario room-medium --state truth --out runs/upper-bound
@@ -113,6 +114,7 @@ class ExploreCommand(Settings):
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
+    arguments = with_scenario(arguments)
     command = parse(ExploreCommand, arguments, "explore")
 
     from dronevio.autonomy.explored_flight import document

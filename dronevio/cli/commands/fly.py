@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from dronevio.cli.flight_options import FlightOptions, ScenarioInput, parse_flight
 from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
-from dronevio.cli.terminal import print_json, print_values, progress_bars
+from dronevio.cli.terminal import print_json, print_values, progress_bars, with_scenario
 
 if TYPE_CHECKING:
     from dronevio.sim.flight import Flight
@@ -24,7 +24,7 @@ class FlyCommand:
 
     Examples:
       dronevio fly
-      dronevio fly --scenario forest-medium --seed 3 --rig euroc-stereo
+      dronevio fly forest-medium --seed 3 --rig euroc-stereo
       dronevio fly --scenario hall-race --rig fisheye-stereo --imu BMI088 --wind.mean-m-s 4 0 0 --wind.gusts 1
       dronevio fly --plan.shape figure-8 --plan.limits.speed-m-s 3 --imaging.exposure-s 0.008 --truth-images depth flow
       dronevio fly --faults.dark-from-s 10 --faults.dark-for-s 2 --out recordings/dark
@@ -44,6 +44,7 @@ class FlyCommand:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
+    arguments = with_scenario(arguments)
     command = parse_flight(FlyCommand, arguments, "fly")
 
     from dronevio.cli.output_files import atomic_folder, size_mb

@@ -21,6 +21,7 @@ from dronevio.cli.terminal import (
     print_run_warnings,
     print_values,
     progress_bars,
+    with_scenario,
 )
 from dronevio.sim.closed_loop.settings import LoopSettings
 
@@ -58,7 +59,7 @@ class RunCommand:
     Examples:
       dronevio run
       dronevio run --seed 3 --out runs/third
-      dronevio run --scenario hover --keep-recording
+      dronevio run hover --keep-recording
       dronevio run --rig euroc-stereo
       dronevio run --fly-on estimate
       dronevio run --policy hover.safetensors --fly-on estimate
@@ -108,6 +109,7 @@ class RunCommand:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
+    arguments = with_scenario(arguments)
     command = parse_flight(RunCommand, arguments, "run")
 
     from dronevio.cli.output_files import reserved_folder
