@@ -1,7 +1,7 @@
 """The ``dronevio`` command: it calls the subcommand, and turns errors into one line and an exit code.
 
-Exit codes: 0 success, 1 a check failed, 2 bad input, 3 the drone collided (``explore``), 70 a defect in dronevio, 130
-interrupted, 141 the reader of standard output has gone.
+Exit codes: 0 success, 1 a check failed, 2 bad input, 3 the drone collided (``run``, ``fly``, ``explore``), 70 a defect
+in dronevio, 130 interrupted, 141 the reader of standard output has gone.
 """
 
 import os

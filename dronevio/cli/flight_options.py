@@ -188,6 +188,10 @@ ScenarioInput = Annotated[FlightOptions, tyro.conf.arg(name="")]
 Command = TypeVar("Command")
 
 
+COLLIDED = 3
+"""Exit code of a command whose flight has ended by a collision."""
+
+
 def parse_flight(command: type[Command], arguments: Sequence[str], name: str) -> Command:
     """Return a command with a field ``flight`` of `FlightOptions`, filled from the command line.
 

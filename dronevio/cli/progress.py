@@ -15,6 +15,8 @@ FIRST_LINE_S = 5.0
 """Duration of a phase after which its progress is printed as a line [s]; of shorter phases, only the end is."""
 LINE_INTERVAL_S = 10.0
 """Time between two lines of a phase [s]."""
+LEAST_SHARE = 0.05
+"""Share of the units that must be finished for the first line to tell how long the rest takes."""
 
 
 class Bars(Protocol):
@@ -94,6 +96,7 @@ class PhaseLine:
         self._clock = clock
         self._begin_s: float | None = None
         self._next_s = FIRST_LINE_S
+        self._first: tuple[float, int] | None = None  # time and finished units of the first line
         self._ended = False
 
     def due(self, done: int, total: int) -> str | None:
@@ -110,5 +113,9 @@ class PhaseLine:
         if self._ended or (elapsed_s < self._next_s and not is_end):
             return None
         self._next_s, self._ended = elapsed_s + LINE_INTERVAL_S, is_end
-        left = f", about {elapsed_s * (total - done) / done:.0f} s left" if 0 < done < total else ""
+        # The pace is that since the first line: the first units are often slow.
+        since_s, since = self._first or (0.0, 0)
+        is_known = since < done < total and (self._first is not None or done >= LEAST_SHARE * total)
+        self._first = self._first or (elapsed_s, done)
+        left = f", about {(elapsed_s - since_s) * (total - done) / (done - since):.0f} s left" if is_known else ""
         return f"{self._description}: {done} of {total} after {elapsed_s:.0f} s{left}"

@@ -16,7 +16,8 @@ from dronevio.autonomy.explored_flight import OUTCOMES, document, explored_fligh
 from dronevio.autonomy.pilot.explorer import Outcome
 from dronevio.autonomy.ray_sensing import RaySensing
 from dronevio.cli import main
-from dronevio.cli.commands.explore import COLLIDED, repeating_command
+from dronevio.cli.commands.explore import repeating_command
+from dronevio.cli.flight_options import COLLIDED
 from dronevio.eval.rerun.exploration import DECISIONS, GOAL, PLAN, ROUTE, TRUE_PATH_SO_FAR, TRUTH
 from dronevio.models.occupancy import FREE, OCCUPIED
 from dronevio.models.occupancy_maps import read_occupancy

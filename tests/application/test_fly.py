@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from dronevio.cli import main
+from dronevio.cli.flight_options import COLLIDED
 from dronevio.models.recordings.euroc import EurocRecording
 
 
@@ -40,3 +41,10 @@ def test_unknown_scenario_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFix
     assert "room" in error
     assert len(error.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_collision_has_an_exit_code_of_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "crash"
+    assert main(["fly", "short", "--faults.rotor-fails-at-s", "3", "--out", str(out)]) == COLLIDED == 3
+    assert "the flight ended early: the drone crashed" in capsys.readouterr().out
+    assert len(EurocRecording.open(out).frame_times_ns) > 20

@@ -37,6 +37,17 @@ def test_lines_are_printed_from_time_to_time() -> None:
     ]
 
 
+def test_slow_first_units_do_not_tell_how_long_the_rest_takes() -> None:
+    """The first of a thousand frames takes 8 s, the others 10 ms each."""
+    clock = Clock()
+    line = PhaseLine("estimating", clock)
+    assert line.due(0, 1000) is None
+    clock.now_s += 8.0
+    assert line.due(1, 1000) == "estimating: 1 of 1000 after 8 s"
+    clock.now_s += 10.0
+    assert line.due(501, 1000) == "estimating: 501 of 1000 after 18 s, about 10 s left"
+
+
 def test_end_of_a_phase_is_printed_once() -> None:
     clock = Clock()
     line = PhaseLine("rendering", clock)

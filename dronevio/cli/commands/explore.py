@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from dronevio.cli.flight_options import COLLIDED
 from dronevio.cli.imported_settings import ImportedSettings
 from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
@@ -39,9 +40,6 @@ if TYPE_CHECKING:
     from dronevio.models.depth import DepthImage
     from dronevio.models.state import Estimate
     from dronevio.sim.scenario import Scenario
-
-COLLIDED = 3
-"""Exit code after a collision."""
 
 
 @dataclass(frozen=True)

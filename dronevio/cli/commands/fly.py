@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from dronevio.cli.flight_options import FlightOptions, ScenarioInput, parse_flight
+from dronevio.cli.flight_options import COLLIDED, FlightOptions, ScenarioInput, parse_flight
 from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
 from dronevio.cli.terminal import print_json, print_values, progress_bars, with_scenario
@@ -58,11 +58,11 @@ def main(arguments: Sequence[str]) -> int:
         flight = record_flight(
             scenario, folder, bars.bar("simulating"), bars.bar("rendering"), truth_images=command.truth_images
         )
-    figures = flight_figures(flight)
+    figures, code = flight_figures(flight), 0 if flight.collision is None else COLLIDED
     if command.output.json:
         named = {"recording": str(target), "scenario": scenario.name, "seed": scenario.seed}
         print_json({**named, **figures, "collision": None if flight.collision is None else str(flight.collision)})
-        return 0
+        return code
     print_values(
         f"Flight {scenario.name}, seed {scenario.seed}: {scenario.description}",
         (
@@ -79,7 +79,7 @@ def main(arguments: Sequence[str]) -> int:
         print(f"the flight ended early: the drone {flight.collision}")
     print(f"wrote {target}")
     print(f"estimate it:  dronevio estimate {target}")
-    return 0
+    return code
 
 
 def flight_figures(flight: "Flight") -> dict[str, float]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from dronevio.cli.flight_options import FlightOptions, ScenarioInput, parse_flight
+from dronevio.cli.flight_options import COLLIDED, FlightOptions, ScenarioInput, parse_flight
 from dronevio.cli.imported_settings import ImportedSettings
 from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.progress import Bars
@@ -135,20 +135,22 @@ def main(arguments: Sequence[str]) -> int:
         report = _run(scenario, command, mission, folder, target, repeating_command(chosen, arguments), bars)
         if not command.keep_recording:
             shutil.rmtree(folder / "recording")
+    collision = None if report.control is None else report.control.collision
+    code = 0 if collision is None else COLLIDED
     if command.output.json:
         print_json({"run": str(target), **report.values})
-        return 0
+        return code
     print_report(f"Run {scenario.name}, seed {scenario.seed}", report)
     if report.policy is not None:
         result = "accomplished" if report.policy.success else "not accomplished"
         print(f"task:     {result} ({report.policy.environment}; end: {report.policy.end})")
-    if report.control is not None and report.control.collision is not None:
-        print(f"the flight ended early: the drone {report.control.collision}")
+    if collision is not None:
+        print(f"the flight ended early: the drone {collision}")
     if command.save_map is not None:
         print(f"map:      {command.save_map}")
     print(f"report:   {target}/report.html")
     print(f"open it:  dronevio view {target}")
-    return 0
+    return code
 
 
 def _policy_mission(command: RunCommand, scenario: "Scenario") -> "PolicyMission | None":
