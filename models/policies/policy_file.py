@@ -169,7 +169,8 @@ def _limits(document: Fields) -> ActionLimits:
     """
     names = [field.name for field in fields(ActionLimits)]
     document.only(*names)
-    values = {name: document.number(name) for name in names}
+    present = [name for name in names if name != "position_m" or name in document.values]  # older files lack it
+    values = {name: document.number(name) for name in present}
     for name, value in values.items():
         if not value > 0.0:
             raise document.error(name, "a positive number")

@@ -265,7 +265,7 @@ class DroneCore:
         Raises:
             ConfigError: There is an estimator, whose state cannot be copied.
         """
-        self._require_copyable()
+        self.require_copyable()
         return {
             "episode": self._episode,
             "plant": self.plant.save(),
@@ -280,7 +280,7 @@ class DroneCore:
         Raises:
             ConfigError: There is an estimator, whose state cannot be replaced.
         """
-        self._require_copyable()
+        self.require_copyable()
         self._episode = saved["episode"]
         self.plant.restore(saved["plant"])
         self._imu.restore(saved["imu"])
@@ -369,8 +369,12 @@ class DroneCore:
             self._loop.close()
             self._loop = None
 
-    def _require_copyable(self) -> None:
-        """Raise ConfigError if there is an estimator."""
+    def require_copyable(self) -> None:
+        """Check that the state can be copied.
+
+        Raises:
+            ConfigError: There is an estimator.
+        """
         if self.settings.estimator is not None:
             raise ConfigError(
                 "state of an environment with an estimator, which cannot be copied; expected to repeat the episode with"

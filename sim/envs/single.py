@@ -171,6 +171,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
         Returns:
             The observation of the state.
         """
+        self._core.require_copyable()
         if not self._started:
             self.reset()
         self._core.restore(saved["core"])

@@ -78,7 +78,6 @@ SFM: OptionTable = MappingProxyType(
         "features.max-features": "Images do not match (increase it), or the reconstruction takes too long (decrease"
         " it).",
         "features.contrast-threshold": "Surfaces have little texture: decrease it.",
-        "features.max-side-px": "Memory is short (decrease it), or large images have fine details alone (increase it).",
         "pairs.method": "The images are not what they seem: the names of a sequence are unordered, or all pairs are"
         " wanted.",
         "pairs.overlap": "A sequence moves slowly (increase it) or fast (decrease it).",
