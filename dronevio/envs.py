@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-from dronevio._lazy import attach
 from dronevio.models.rig import Rig, euroc_rig
+from dronevio.sim import envs
 
 if TYPE_CHECKING:
     from dronevio.sim.envs.sensing.estimation import EstimatorFactory
@@ -80,28 +80,12 @@ for _name, _task in _VIO_TASKS.items():  # their estimators are not vectorized
         kwargs={"task": _task},
     )
 
-__getattr__, __dir__ = attach(
-    __name__,
-    {
-        "dronevio.sim.envs.episodes.distributions": ("Constant", "LogUniform", "Normal", "Uniform"),
-        "dronevio.sim.envs.episodes.endings": ("Termination",),
-        "dronevio.sim.envs.episodes.randomization": ("MODERATE", "Randomization"),
-        "dronevio.sim.envs.settings": ("EnvironmentSettings",),
-        "dronevio.sim.envs.single": ("DroneEnv",),
-        "dronevio.sim.envs.tasks": (
-            "Explore",
-            "Hover",
-            "Navigate",
-            "Objective",
-            "Race",
-            "Start",
-            "Task",
-            "Track",
-            "Transition",
-            "VioHover",
-            "VioNavigate",
-            "Waypoints",
-        ),
-        "dronevio.sim.envs.vector": ("DroneVectorEnv",),
-    },
-)
+
+def __getattr__(name: str) -> object:
+    """Return a name of `dronevio.sim.envs`: tasks, settings and classes, which are imported when they are used."""
+    return getattr(envs, name)
+
+
+def __dir__() -> list[str]:
+    """Return the names of this module and those of `dronevio.sim.envs`."""
+    return sorted({*globals(), *envs.__all__})

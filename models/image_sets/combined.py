@@ -68,6 +68,7 @@ def joined(first: ImageSet, second: ImageSet) -> ImageSet:
         read=_either(first.read, second.read, len(first)),
         read_mask=_either(first.read_mask, second.read_mask, len(first)),
         focal_source=tuple(sources),
+        skipped={**first.skipped, **second.skipped},
     )
 
 

@@ -65,7 +65,7 @@ def image_rig_folder(
     """
     folder, mask_path = Path(path), Path(masks) if masks is not None else None
     chosen = tuple(range(len(rig)) if cameras is None else cameras)
-    if len(set(chosen)) < len(chosen) or not chosen or max(chosen) >= len(rig):
+    if len(set(chosen)) < len(chosen) or not set(chosen) <= set(range(len(rig))) or not chosen:
         listed = ", ".join(map(str, chosen)) or "none"
         raise ConfigError(f"cameras {listed} of {folder}; expected different ones from 0 to {len(rig) - 1}")
     # The images of all cameras, those of one moment beside each other

@@ -7,6 +7,7 @@ from dronevio._lazy import attach
 if TYPE_CHECKING:
     from dronevio.models.actions import ActionLimits
     from dronevio.sim.envs.episodes.distributions import Constant, LogUniform, Normal, Uniform
+    from dronevio.sim.envs.episodes.endings import Termination
     from dronevio.sim.envs.episodes.randomization import MODERATE, Randomization
     from dronevio.sim.envs.policies.conversion import policy_from_sb3, policy_from_torch, provenance_of
     from dronevio.sim.envs.policies.goal_flight import fly_to_goal
@@ -16,7 +17,20 @@ if TYPE_CHECKING:
     from dronevio.sim.envs.sensing.ray_maps import MapSettings
     from dronevio.sim.envs.settings import EnvironmentSettings
     from dronevio.sim.envs.single import DroneEnv
-    from dronevio.sim.envs.tasks import Explore, Hover, Navigate, Race, Track, VioHover, VioNavigate, Waypoints
+    from dronevio.sim.envs.tasks import (
+        Explore,
+        Hover,
+        Navigate,
+        Objective,
+        Race,
+        Start,
+        Task,
+        Track,
+        Transition,
+        VioHover,
+        VioNavigate,
+        Waypoints,
+    )
     from dronevio.sim.envs.vector import DroneVectorEnv
     from dronevio.sim.envs.vector_checker import check_vector_env
 
@@ -34,11 +48,16 @@ __all__ = [
     "MapSettings",
     "Navigate",
     "Normal",
+    "Objective",
     "PolicyMission",
     "PolicyPilot",
     "Race",
     "Randomization",
+    "Start",
+    "Task",
+    "Termination",
     "Track",
+    "Transition",
     "Uniform",
     "VioHover",
     "VioNavigate",
@@ -62,6 +81,7 @@ __getattr__, __dir__ = attach(
         "dronevio.sim.envs.policies.goal_flight": ("fly_to_goal",),
         "dronevio.sim.envs.policies.mission": ("PolicyMission", "policy_mission", "policy_outcome"),
         "dronevio.sim.envs.policies.pilot": ("PolicyPilot",),
+        "dronevio.sim.envs.episodes.endings": ("Termination",),
         "dronevio.sim.envs.episodes.randomization": ("MODERATE", "Randomization"),
         "dronevio.sim.envs.sensing.ray_maps": ("MapSettings",),
         "dronevio.sim.envs.settings": ("EnvironmentSettings",),
@@ -70,8 +90,12 @@ __getattr__, __dir__ = attach(
             "Explore",
             "Hover",
             "Navigate",
+            "Objective",
             "Race",
+            "Start",
+            "Task",
             "Track",
+            "Transition",
             "VioHover",
             "VioNavigate",
             "Waypoints",

@@ -13,7 +13,7 @@ from PIL import Image as PillowImage
 
 from dronevio.models import CameraModel, ConfigError, InputError, image_folder
 from dronevio.models.arrays import Image
-from dronevio.models.image_sets import photos
+from dronevio.models.image_sets import joined, photos
 from dronevio.models.image_sets.folder import natural_key
 from dronevio.models.image_sets.photos import read_photo, read_photo_header
 
@@ -349,3 +349,11 @@ def test_folders_without_any_mask_are_refused(tmp_path: Path) -> None:
         image_folder(tmp_path / "images", masks=tmp_path / "none")
     with pytest.raises(InputError, match="expected a separate folder"):
         image_folder(tmp_path / "images", masks=tmp_path / "images")
+
+
+def test_unions_name_what_both_sets_lack(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        save(tmp_path / name / f"{name}.png", noise(20))
+        (tmp_path / name / f"{name}.jpg").write_text("a text")
+    both = joined(image_folder(tmp_path / "a"), image_folder(tmp_path / "b"))
+    assert both.names == ("a.png", "b.png") and set(both.skipped) == {"a.jpg", "b.jpg"}

@@ -227,6 +227,8 @@ def test_cameras_of_a_rig_are_chosen(pairs: Path) -> None:
     assert images.names == ("cam1/9.png", "cam1/10.png") and images.image_camera.tolist() == [0, 0]
     with pytest.raises(ConfigError, match=r"cameras 0, 2 of .*; expected different ones from 0 to 1"):
         open_images(pairs, cameras=[0, 2])
+    with pytest.raises(ConfigError, match="cameras -1 of"):
+        open_images(pairs, cameras=[-1])
     with pytest.raises(ConfigError, match="the option every for a folder of a rig"):
         open_images(pairs, every=2)
     shutil.rmtree(pairs / "cam1")
