@@ -579,9 +579,11 @@ class Lost:
         return replace(state, T_world_imu=T)
 
 
-def test_a_lost_vehicle_stops_its_rotors_when_it_meets_the_ground() -> None:
+@pytest.mark.parametrize("imu_hz", [100.0, 200.0, 400.0])
+def test_a_lost_vehicle_stops_its_rotors_when_it_meets_the_ground(imu_hz: float) -> None:
     """By its estimate it is still half a metre high."""
     scenario = exploration_scenario("room", 0)
+    scenario = replace(scenario, rig=replace(scenario.rig, imu=replace(scenario.rig.imu, rate_hz=imu_hz)))
     cameras = RayCameras("room", 0, scenario.rig, 0)
     pilot = Explorer(ReachGoal(np.array([2.0, -1.5, 1.2])), 40.0, source=cameras)
     flight = fly_closed_loop(scenario, Lost(DriftingOdometry(cameras, 0), 14 * S), cameras, pilot=pilot)

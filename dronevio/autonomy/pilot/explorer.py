@@ -70,7 +70,8 @@ _STOP_AFTER_NS, _LAND_AFTER_NS = 300_000_000, 1_000_000_000  # without depth; la
 _ROUTE_NS = 1_000_000_000  # between two routes
 _CHECK_NS = 25_000_000  # between the points of a trajectory whose clearance is checked: half a cell at 2 m/s
 _SINK_M = 0.05  # by which the descent ends below the ground
-_IMPACT_M_S2, _REST_NS = 20.0, 300_000_000  # specific force at the ground, twice that of flight; time after it
+_IMPACT_M_S2, _IMPACT_NS = 20.0, 20_000_000  # specific force at the ground, twice that of flight, and its time
+_REST_NS = 300_000_000  # after the rotors have stopped
 _TAKEN_M, _TURNED_RAD = 0.6, radians(10.0)  # of a view, within which it is taken
 _EARLY_NS = 1_000_000  # by which a plan may be made before it is due, for time stamps that jitter
 
@@ -111,6 +112,7 @@ class Explorer:
         self._plan_due_ns = 0
         self._ends_ns: int | None = None
         self._is_going_home = self._is_landing = False
+        self._felt: list[tuple[int, Array]] = []  # times and specific forces of the last samples of a landing
 
     @property
     def finished(self) -> bool:
@@ -159,7 +161,12 @@ class Explorer:
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Stop the rotors when the vehicle meets the ground, whose height a lost estimate does not know."""
-        if self._is_landing and np.linalg.norm(samples.accel_m_s2, axis=1).max(initial=0.0) > _IMPACT_M_S2:
+        if not self._is_landing or not len(samples):
+            return
+        # The mean over some samples is that of any rate, and vibration has none.
+        self._felt = [*self._felt, *zip(samples.t_ns.tolist(), samples.accel_m_s2, strict=True)]
+        self._felt = [each for each in self._felt if each[0] > samples.t_ns[-1] - _IMPACT_NS]
+        if np.linalg.norm(np.mean([accel for _, accel in self._felt], axis=0)) > _IMPACT_M_S2:
             self._stop_rotors(self._course.now_ns)
 
     def add_frame(self, frame: CameraFrame, estimate: Estimate, T_world_odom: Array | None) -> None:
