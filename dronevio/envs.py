@@ -81,7 +81,7 @@ for _name, _task in _VIO_TASKS.items():  # their estimators are not vectorized
     )
 
 
-def __getattr__(name: str) -> object:
+def __getattr__(name: str) -> Any:
     """Return a name of `dronevio.sim.envs`: tasks, settings and classes, which are imported when they are used."""
     return getattr(envs, name)
 

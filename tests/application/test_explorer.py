@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from math import pi, remainder
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -577,6 +578,21 @@ class Lost:
         T = state.T_world_imu.copy()
         T[2, 3] += 0.2 * max(t_ns - self._t_ns, 0) * 1e-9
         return replace(state, T_world_imu=T)
+
+
+def test_vibration_of_a_descent_is_no_impact() -> None:
+    """Rotors shake the IMU by 30 m/s² at 60 Hz; the ground pushes with 40 m/s² for 25 ms."""
+    pilot, stops = Explorer(ReachGoal(np.zeros(3)), 40.0), list[int]()
+    pilot._course = SimpleNamespace(now_ns=7, stop_rotors=stops.append)  # type: ignore[assignment]
+    pilot._is_landing = True
+    t_s = np.arange(200) * 5e-3
+    accel = np.column_stack([np.zeros((200, 2)), 9.81 + 30.0 * np.sin(2.0 * np.pi * 60.0 * t_s)])
+    for t_ns, row in zip((1e9 * t_s).astype(np.int64), accel, strict=True):
+        pilot.add_imu(ImuSamples(t_ns[None], np.zeros((1, 3)), row[None]))
+    assert accel[:, 2].max() > 35.0 and not stops
+    late_ns = np.arange(200, 205) * 5_000_000
+    pilot.add_imu(ImuSamples(late_ns, np.zeros((5, 3)), np.tile([0.0, 0.0, 40.0], (5, 1))))
+    assert stops == [7]
 
 
 @pytest.mark.parametrize("imu_hz", [100.0, 200.0, 400.0])

@@ -164,9 +164,10 @@ class Explorer:
         if not self._is_landing or not len(samples):
             return
         # The mean over some samples is that of any rate, and vibration has none.
-        self._felt = [*self._felt, *zip(samples.t_ns.tolist(), samples.accel_m_s2, strict=True)]
-        self._felt = [each for each in self._felt if each[0] > samples.t_ns[-1] - _IMPACT_NS]
-        if np.linalg.norm(np.mean([accel for _, accel in self._felt], axis=0)) > _IMPACT_M_S2:
+        felt = [*self._felt, *zip(samples.t_ns.tolist(), samples.accel_m_s2, strict=True)]
+        self._felt = [each for each in felt if each[0] > samples.t_ns[-1] - _IMPACT_NS]
+        is_whole = len(self._felt) < len(felt)
+        if is_whole and np.linalg.norm(np.mean([accel for _, accel in self._felt], axis=0)) > _IMPACT_M_S2:
             self._stop_rotors(self._course.now_ns)
 
     def add_frame(self, frame: CameraFrame, estimate: Estimate, T_world_odom: Array | None) -> None:
