@@ -6,12 +6,12 @@ estimator are imported when an environment is made.
 """
 
 from dataclasses import replace
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
 from dronevio.models.rig import Rig, euroc_rig
-from dronevio.sim import envs
 
 if TYPE_CHECKING:
     from dronevio.sim.envs.sensing.estimation import EstimatorFactory
@@ -83,9 +83,11 @@ for _name, _task in _VIO_TASKS.items():  # their estimators are not vectorized
 
 def __getattr__(name: str) -> Any:
     """Return a name of `dronevio.sim.envs`: tasks, settings and classes, which are imported when they are used."""
-    return getattr(envs, name)
+    if not name.startswith("_") and name in (names := import_module("dronevio.sim.envs")).__all__:
+        return getattr(names, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
     """Return the names of this module and those of `dronevio.sim.envs`."""
-    return sorted({*globals(), *envs.__all__})
+    return sorted({*globals(), *import_module("dronevio.sim.envs").__all__})

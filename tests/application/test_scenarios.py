@@ -85,7 +85,10 @@ def test_negative_seed_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_registration_does_not_load_the_simulator() -> None:
-    code = "import sys, dronevio.envs; sys.exit('mujoco' in sys.modules or 'dronevio.sim' in sys.modules)"
+    code = (
+        "import sys, dronevio.envs; from dronevio.envs import vio_rig; "
+        "sys.exit('mujoco' in sys.modules or 'dronevio.sim' in sys.modules)"
+    )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
