@@ -127,7 +127,8 @@ def reconstruct(
     states = map_scene(scene, images.cameras, pairs, config.mapper, stages("mapping"), start, is_final=False)
     completed = [_completed(scene, state, features, config) for state in states]
     # World frame: scale, gravity and origin
-    placed = [(own, *place(own, state, images, config, poses)) for own, state in completed]
+    origin = None if earlier_world is None else earlier_world.origin
+    placed = [(own, *place(own, state, images, config, poses, origin)) for own, state in completed]
     if earlier is not None:
         placed[0] = placed[0][0], aligned(placed[0][1], Ts_earlier), earlier_world or WorldFrame()
     clock.lap("mapping")

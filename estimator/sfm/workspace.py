@@ -47,7 +47,7 @@ class Workspace:
         ends = np.cumsum(arrays["counts"])[:-1]
         rows = zip(
             arrays["second"].tolist(),
-            np.split(arrays["matches"], ends),
+            np.split(arrays["matches"], ends)[: len(arrays["second"])],  # the split of nothing has one part
             arrays["geometry"].tolist(),
             arrays["Ts_first_second"],
             arrays["angle_rad"].tolist(),
