@@ -39,9 +39,10 @@ class SfmCommand(Settings):
     IMAGES is a folder of photographs, a video or a recording, or a folder with the images of a rig: cam0, cam1 and
     so on, and their calibration rig.yaml, a camchain.yaml of Kalibr. Without a calibration, focal length and
     distortion are estimated, from EXIF data or a guess; the cameras of a recording are calibrated. The IMU of a
-    recording, if the motion suffices, or two or more cameras give a reconstruction in metres; otherwise its scale is
-    arbitrary. With an IMU, z points up. The result is a folder with the reconstruction in each format, a report with
-    pictures and a rerun file.
+    recording, if the motion suffices, two or more cameras, or the GPS tags of photographs give a reconstruction in
+    metres; otherwise its scale is arbitrary. With an IMU, z points up. With GPS tags, or ground control points in
+    gcp.csv or gcp_list.txt beside the photographs, x points east, y north and z up (--set gps.use=off ignores both).
+    The result is a folder with the reconstruction in each format, a report with pictures and a rerun file.
 
     An interrupted reconstruction continues where it stopped when the same command is repeated. Images are added to an
     earlier result with --add-to.
