@@ -72,13 +72,11 @@ def test_wrong_positions_are_harmless(wrong: int) -> None:
 
 
 def test_the_stated_deviations_are_those_of_many_trials() -> None:
-    trials = [aligned(measured(20, 0.5, seed=seed)[0]) for seed in range(200)]
     found = measured(20, 0.5, seed=0)
     same = [
         aligned(replace(found[0], positions_m=found[1] + np.random.default_rng(s).normal(scale=0.5, size=(20, 3))))
         for s in range(300)
     ]
-    assert len(trials) == 200
     north = np.std([rotation_error_rad(each)[2] for each in same])
     scale = np.std([np.log(each.scale / SCALE) for each in same])
     assert north == pytest.approx(np.median([each.yaw_sigma_rad for each in same]), rel=0.25)
@@ -121,14 +119,16 @@ def test_positions_that_determine_nothing() -> None:
     assert isinstance(found, str) or found.scale_sigma > 0.5
 
 
-def with_positions(images: ImageSet, scene: "SyntheticScene", sigma_m: float, **changes: object) -> ImageSet:
+def with_positions(
+    images: ImageSet, scene: "SyntheticScene", sigma_m: float, stated_m: float | None = None
+) -> ImageSet:
     """Return a set of images with noisy positions of the cameras of a scene, which is turned and scaled."""
     rng = np.random.default_rng(4)
     exact = true_positions_m(scene)
     geodetic = ORIGIN.from_enu(exact + rng.normal(scale=sigma_m, size=exact.shape))
     count = len(images)
-    tags = GeoTags(geodetic, np.full((count, 3), sigma_m), np.full((count, 3, 3), np.nan), "ellipsoid")
-    return replace(images, geotags=replace(tags, **changes))
+    stated = np.full((count, 3), sigma_m if stated_m is None else stated_m)
+    return replace(images, geotags=GeoTags(geodetic, stated, np.full((count, 3, 3), np.nan), "ellipsoid"))
 
 
 def true_positions_m(scene: "SyntheticScene") -> Array:
@@ -186,7 +186,7 @@ def test_positions_can_be_ignored_or_required(
     images, workspace = make_images(wide_scene, tmp_path)
     off = reconstruct(with_positions(images, wide_scene, 0.01), SfmConfig(gps=GpsConfig("off")), workspace)
     assert off.worlds[0].scale == "arbitrary" and off.worlds[0].geo is None
-    vague = with_positions(images, wide_scene, 0.01, sigmas_m=np.full((10, 3), 1000.0))
+    vague = with_positions(images, wide_scene, 0.01, stated_m=1000.0)
     kept = reconstruct(vague, None, workspace)
     assert kept.worlds[0].scale == "arbitrary" and "too close together for their errors" in kept.worlds[0].note
     np.testing.assert_array_equal(kept.reconstructions[0].positions, off.reconstructions[0].positions)

@@ -51,8 +51,7 @@ def photo(file: Path, gps: dict[int, object] | None = None, packet: bytes = b"")
     if gps is not None:
         ifd = exif.get_ifd(0x8825)
         for number, value in gps.items():
-            is_sequence = isinstance(value, tuple)
-            ifd[number] = tuple(IFDRational(round(1e6 * v), 1_000_000) for v in value) if is_sequence else value
+            ifd[number] = tuple(map(IFDRational, value)) if isinstance(value, tuple) else value
     options: dict[str, Any] = {"exif": exif} | ({"xmp": packet} if packet else {})
     Image.fromarray(np.zeros((30, 40, 3), np.uint8)).save(file, **options)
 
