@@ -12,11 +12,11 @@ the cases:
 - ``gps``: EXIF alone, errors of 3 m in each coordinate, ``GPSHPositioningError`` 3 m;
 - ``outlier``: as each of both, with 100 m added to one position, in a random direction.
 
-The command ``dronevio sfm`` reads a folder of photographs; the truth is compared with the positions in its model of
-COLMAP and the origin in its report. The error of the positions is the root mean square distance from the truth, as is
-without any alignment; that of north is the rotation about the vertical between the reconstruction and the truth, of the
-similarity transformation of the camera positions. GPS of 3 m in each coordinate leaves, with 50 independent positions
-and seven unknowns of a similarity transformation, 3 · √(7 / 50) = 1.12 m::
+``dv.sfm`` reads a folder of photographs, and keeps features and matches, which are those of all cases. Its positions and
+the origin of its world frame are compared with the truth, without any alignment: the error of the positions is the root
+mean square of the distances. That of north is the rotation about the vertical of the similarity transformation between
+the camera positions and the true ones. Of errors of 3 m in each coordinate, 50 independent positions and the seven
+unknowns of a similarity transformation leave 3 · √(7 / 50) = 1.12 m::
 
     .venv/bin/python benchmarks/survey_flights.py --work build/survey --seeds 0 1 2
 """
@@ -25,29 +25,28 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, before NumPy is imported
 
-import json
 import shutil
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import cv2
 import numpy as np
 import tyro
-from measuring import print_rows
+from measuring import print_as_made
 from PIL import Image as PillowImage
 from PIL.TiffImagePlugin import IFDRational
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
-from dronevio.cli import main as dronevio
+import dronevio as dv
 from dronevio.eval.metrics.alignment import umeyama
 from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.geodesy import GeodeticPoint, rotation_enu_cam, yaw_pitch_roll_deg
-from dronevio.models.reconstructions import read_reconstruction
 from dronevio.models.rotation import log_so3
 
 CAMERA = CameraModel(1000, 750, 690.0, 690.0, 499.5, 374.5, (-0.02, 0.01, 0.0, 0.0))
@@ -298,20 +297,17 @@ class Outcome:
     outliers: int
 
 
-def measure(folder: Path, result: Path, flight: str) -> Outcome:
-    """Reconstruct a folder of photographs with the command line, and return the errors."""
-    shutil.rmtree(result, ignore_errors=True)
-    if dronevio(["sfm", str(folder), "--out", str(result), "--format", "colmap-binary", "--json"]) != 0:
-        raise SystemExit(f"dronevio sfm {folder} failed")
-    found = read_reconstruction(result)
-    report = json.loads((result / "report.json").read_text(encoding="utf-8"))
-    if report["origin"] is None:
-        raise SystemExit(f"{folder}: the result has no position on Earth")
+def measure(folder: Path, workspace: Path, flight: str) -> Outcome:
+    """Reconstruct a folder of photographs, whose features and matches are kept, and return the errors."""
+    result = dv.sfm(folder, workspace=workspace)
+    found, world = result.reconstructions[0], result.worlds[0]
+    if world.geo is None or world.origin is None:
+        raise SystemExit(f"{folder}: {world.note}")
+    geo = world.geo
     Ts = poses(flight)[[int(Path(name).stem) for name in found.image_names]]
-    estimated = ORIGIN.to_enu(GeodeticPoint(**report["origin"]).from_enu(found.positions))
+    estimated = ORIGIN.to_enu(world.origin.from_enu(found.positions))
     errors = estimated - Ts[:, :3, 3]
     turn = np.degrees(log_so3(umeyama(Ts[:, :3, 3], estimated, with_scale=True).R_truth_estimate))
-    [geo] = report["georeferences"]
     return Outcome(
         len(found.image_names),
         float(np.sqrt(np.mean(np.sum(errors**2, axis=1)))),
@@ -319,35 +315,33 @@ def measure(folder: Path, result: Path, flight: str) -> Outcome:
         float(np.sqrt(np.mean(errors[:, 2] ** 2))),
         abs(float(turn[2])),
         float(np.linalg.norm(turn[:2])),
-        float(np.degrees(geo["north_sigma_rad"])),
-        sum(geo["is_outlier"]),
+        float(np.degrees(geo.north_sigma_rad)),
+        int(geo.is_outlier.sum()),
     )
 
 
 def rows(command: SurveyCommand) -> Iterator[dict[str, str]]:
-    """Yield a row for each flight, case and seed."""
-    for flight in command.flights:
+    """Yield a row for each seed, flight and case."""
+    for seed, flight, case in product(command.seeds, command.flights, command.cases):
         source = command.work / flight
         photograph(flight, source)
-        for case in command.cases:
-            for seed in command.seeds:
-                folder = command.work / f"{flight}-{case.replace(' ', '-')}-{seed}"
-                write_photographs(source, folder, flight, case, seed)
-                found = measure(folder, command.work / f"{folder.name}-result", flight)
-                yield {
-                    "flight": flight,
-                    "positions": case,
-                    "seed": str(seed),
-                    "registered": str(found.registered),
-                    "error RMS [m]": f"{found.rms_m:.3f}",
-                    "horizontal [m]": f"{found.horizontal_m:.3f}",
-                    "vertical [m]": f"{found.vertical_m:.3f}",
-                    "north [°]": f"{found.north_deg:.3f}",
-                    "stated σ [°]": f"{found.north_sigma_deg:.3f}",
-                    "vertical axis [°]": f"{found.tilt_deg:.3f}",
-                    "outliers": str(found.outliers),
-                }
+        folder = command.work / f"{flight}-{case.replace(' ', '-')}-{seed}"
+        write_photographs(source, folder, flight, case, seed)
+        found = measure(folder, command.work / f"{flight}-workspace", flight)
+        yield {
+            "flight": flight,
+            "positions": case,
+            "seed": str(seed),
+            "registered": str(found.registered),
+            "error RMS [m]": f"{found.rms_m:.3f}",
+            "horizontal [m]": f"{found.horizontal_m:.3f}",
+            "vertical [m]": f"{found.vertical_m:.3f}",
+            "north [°]": f"{found.north_deg:.3f}",
+            "stated σ [°]": f"{found.north_sigma_deg:.3f}",
+            "vertical axis [°]": f"{found.tilt_deg:.3f}",
+            "outliers": str(found.outliers),
+        }
 
 
 if __name__ == "__main__":
-    print_rows("Survey flights", list(rows(tyro.cli(SurveyCommand, description=__doc__))))
+    print_as_made(rows(tyro.cli(SurveyCommand, description=__doc__)))
