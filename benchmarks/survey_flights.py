@@ -12,8 +12,8 @@ the cases:
 - ``gps``: EXIF alone, errors of 3 m in each coordinate, ``GPSHPositioningError`` 3 m;
 - ``outlier``: as each of both, with 100 m added to one position, in a random direction.
 
-``dv.sfm`` reads a folder of photographs, and keeps features and matches, which are those of all cases. Its positions and
-the origin of its world frame are compared with the truth, without any alignment: the error of the positions is the root
+``dv.sfm`` reads a folder of photographs, and keeps features and matches, which are those of all cases. Its positions
+and the origin of its world frame are compared with the truth, without any alignment: their error is the root
 mean square of the distances. That of north is the rotation about the vertical of the similarity transformation between
 the camera positions and the true ones. Of errors of 3 m in each coordinate, 50 independent positions and the seven
 unknowns of a similarity transformation leave 3 · √(7 / 50) = 1.12 m::

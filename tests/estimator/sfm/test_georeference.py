@@ -245,3 +245,20 @@ def test_control_points_correct_the_offset_of_gps(
     assert world.scale == "gps and control points" and world.origin is not None
     placed = ORIGIN.to_enu(world.origin.from_enu(found.positions))
     assert np.linalg.norm(placed - true_positions_m(wide_scene), axis=1).max() < 0.5
+
+
+def test_a_rig_keeps_its_scale(make_scene: "MakeScene", make_images: "MakeImages", tmp_path: "Path") -> None:
+    scene = make_scene(images=10, baseline_m=0.4)
+    images, workspace = make_images(scene, tmp_path, 0.4)
+    # Positions that are spread by 2 % too much, in the frame of the scene, whose unit is the metre
+    exact = scene.Ts_world_cam[:, :3, 3] @ R_ENU_SCENE.T
+    geodetic = ORIGIN.from_enu(exact.mean(axis=0) + 1.02 * (exact - exact.mean(axis=0)))
+    tags = GeoTags(geodetic, np.full((10, 3), 0.02), np.full((10, 3, 3), np.nan), "ellipsoid")
+    result = reconstruct(replace(images, geotags=tags), None, workspace)
+    [found], [world] = result.reconstructions, result.worlds
+    assert world.scale == "rig" and world.is_vertical and world.geo is not None and world.geo.scale_sigma == 0.0
+    assert world.origin is not None
+    baselines = np.linalg.norm(found.positions[1::2] - found.positions[::2], axis=1)
+    np.testing.assert_allclose(baselines, 0.4, atol=1e-3)
+    errors = ORIGIN.to_enu(world.origin.from_enu(found.positions)) - exact
+    assert np.linalg.norm(errors, axis=1).max() < 0.06
