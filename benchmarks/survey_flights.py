@@ -9,8 +9,9 @@ the cases:
 
 - ``rtk``: XMP as DJI writes it, RTK fixed, normally distributed errors of 2 cm in each coordinate, the same stated, and
   gimbal angles with errors of 0.3° in common and 0.1° each in tilt, and of 3° in common in yaw;
-- ``gps``: EXIF alone, errors of 3 m in each coordinate, ``GPSHPositioningError`` 3 m;
-- ``outlier``: as each of both, with 100 m added to one position, in a random direction.
+- ``gps``: EXIF alone, errors of 3 m in each coordinate, which ``GPSHPositioningError`` states;
+- ``gps-3d``: the same with errors of 3 m in space, that is of 1.7 m in each coordinate;
+- ``outlier``: as ``rtk`` or ``gps``, with 100 m added to one position, in a random direction.
 
 ``dv.sfm`` reads a folder of photographs, and keeps features and matches, which are those of all cases. Its positions
 and the origin of its world frame are compared with the truth, without any alignment: their error is the root
@@ -61,8 +62,10 @@ HEIGHT_M, LINES, PER_LINE, SPACING_M = 100.0, 5, 10, (27.0, 40.0)
 """Height above the ground, lines, photographs of a line, and their distances along and across [m]."""
 OBLIQUE_DEG = 30.0
 """Angle of the oblique camera from the vertical [deg]."""
-RTK_M, GPS_M, OUTLIER_M = 0.02, 3.0, 100.0
-"""Standard deviations of each coordinate of a position, and the length of the outlier [m]."""
+SIGMAS_M = {"rtk": 0.02, "gps": 3.0, "gps-3d": 3.0 / np.sqrt(3.0)}
+"""Standard deviations of each coordinate of a position [m]."""
+OUTLIER_M = 100.0
+"""Length of the outlier [m]."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,7 @@ class SurveyCommand:
     """Seeds of the noise of the positions; the ground is that of seed 0."""
     flights: tuple[str, ...] = ("nadir", "oblique")
     """Flights."""
-    cases: tuple[str, ...] = ("rtk", "rtk outlier", "gps", "gps outlier")
+    cases: tuple[str, ...] = ("rtk", "rtk outlier", "gps", "gps outlier", "gps-3d")
     """Positions."""
 
 
@@ -214,10 +217,9 @@ def photograph(flight: str, folder: Path) -> None:
 
 def measured(flight: str, case: str, seed: int) -> tuple[Array, Array]:
     """Return noisy positions (50, 3) in east, north, up [m], and yaw, pitch and roll (50, 3) of the gimbal [deg]."""
-    rng = np.random.default_rng([seed, 1 if case.startswith("rtk") else 2])
+    rng = np.random.default_rng([seed, *f"{flight} {case}".encode()])
     Ts = poses(flight)
-    sigma = RTK_M if case.startswith("rtk") else GPS_M
-    positions = Ts[:, :3, 3] + rng.normal(scale=sigma, size=(len(Ts), 3))
+    positions = Ts[:, :3, 3] + rng.normal(scale=SIGMAS_M[case.split()[0]], size=(len(Ts), 3))
     angles = np.array([yaw_pitch_roll_deg(T[:3, :3]) for T in Ts])
     angles += rng.normal(scale=[3.0, 0.3, 0.3]) + rng.normal(scale=0.1, size=angles.shape)
     if case.endswith("outlier"):
@@ -233,7 +235,7 @@ def write_photographs(source: Path, folder: Path, flight: str, case: str, seed: 
     positions, angles = measured(flight, case, seed)
     for file, place, gimbal in zip(sorted(source.glob("*.png")), ORIGIN.from_enu(positions), angles, strict=True):
         is_rtk = case.startswith("rtk")
-        exif, xmp = _exif(place, None if is_rtk else GPS_M), _xmp(place, gimbal) if is_rtk else b""
+        exif, xmp = _exif(place, None if is_rtk else SIGMAS_M[case.split()[0]]), _xmp(place, gimbal) if is_rtk else b""
         PillowImage.open(file).save(folder / f"{file.stem}.jpg", quality=95, exif=exif, xmp=xmp)
 
 
@@ -270,7 +272,7 @@ def _xmp(place: Array, gimbal: Array) -> bytes:
         "GimbalPitchDegree": f"{gimbal[1]:+.2f}",
         "GimbalRollDegree": f"{gimbal[2]:+.2f}",
         "RtkFlag": "50",
-        **dict.fromkeys(("RtkStdLon", "RtkStdLat", "RtkStdHgt"), f"{RTK_M:.5f}"),
+        **dict.fromkeys(("RtkStdLon", "RtkStdLat", "RtkStdHgt"), f"{SIGMAS_M['rtk']:.5f}"),
     }
     attributes = "".join(f' drone-dji:{name}="{value}"' for name, value in values.items())
     return (
