@@ -219,7 +219,7 @@ def measured(flight: str, case: str, seed: int) -> tuple[Array, Array]:
     """Return noisy positions (50, 3) in east, north, up [m], and yaw, pitch and roll (50, 3) of the gimbal [deg]."""
     rng = np.random.default_rng([seed, *f"{flight} {case}".encode()])
     Ts = poses(flight)
-    positions = Ts[:, :3, 3] + rng.normal(scale=SIGMAS_M[case.split()[0]], size=(len(Ts), 3))
+    positions = Ts[:, :3, 3] + rng.normal(scale=SIGMAS_M[case.partition(" ")[0]], size=(len(Ts), 3))
     angles = np.array([yaw_pitch_roll_deg(T[:3, :3]) for T in Ts])
     angles += rng.normal(scale=[3.0, 0.3, 0.3]) + rng.normal(scale=0.1, size=angles.shape)
     if case.endswith("outlier"):
@@ -235,7 +235,8 @@ def write_photographs(source: Path, folder: Path, flight: str, case: str, seed: 
     positions, angles = measured(flight, case, seed)
     for file, place, gimbal in zip(sorted(source.glob("*.png")), ORIGIN.from_enu(positions), angles, strict=True):
         is_rtk = case.startswith("rtk")
-        exif, xmp = _exif(place, None if is_rtk else SIGMAS_M[case.split()[0]]), _xmp(place, gimbal) if is_rtk else b""
+        exif = _exif(place, None if is_rtk else SIGMAS_M[case.partition(" ")[0]])
+        xmp = _xmp(place, gimbal) if is_rtk else b""
         PillowImage.open(file).save(folder / f"{file.stem}.jpg", quality=95, exif=exif, xmp=xmp)
 
 
