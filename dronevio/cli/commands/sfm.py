@@ -72,8 +72,9 @@ class SfmCommand(Settings):
     """Folder of masks with the names of the images, or one mask for all; no features are detected where it is black."""
     every: Annotated[int | None, Range(low=1)] = None
     """For videos: distance between the frames to use."""
-    cameras: Annotated[tuple[int, ...] | None, Range(0, 15)] = None
-    """Cameras to use, counted from 0: of a recording the first by default, of a folder of a rig all."""
+    cameras: tuple[str, ...] | None = None
+    """Cameras to use, by index or name: 0 or cam0, 1 or cam1, ... Of a recording the first is used by default, of a
+    folder of a rig all are."""
     frames: Annotated[int | None, Range(low=1)] = None
     """For recordings: number of frames to use, spread evenly; all by default."""
     add_to: Path | None = None
