@@ -15,11 +15,12 @@ import numpy.typing as npt
 
 from dronevio.estimator.array_store import digest
 from dronevio.estimator.sfm.completion import add_observations, merge_tracks
-from dronevio.estimator.sfm.config import SfmConfig
+from dronevio.estimator.sfm.config import SfmConfig, VerificationConfig
 from dronevio.estimator.sfm.earlier import earlier_cameras, earlier_images, earlier_pairs, shared_points
 from dronevio.estimator.sfm.features import NO_FEATURES, Features, detect_features
-from dronevio.estimator.sfm.focal import guess_fisheyes
-from dronevio.estimator.sfm.mapper import finish, map_scene
+from dronevio.estimator.sfm.focal import guess_fisheyes, guess_pinholes
+from dronevio.estimator.sfm.intrinsics import FOCAL_SIGMAS, IntrinsicsPrior
+from dronevio.estimator.sfm.mapper import finish, hold_undetermined, map_scene
 from dronevio.estimator.sfm.matching import match_features
 from dronevio.estimator.sfm.model import KnownPoses, Scene, SfmState, initial_state
 from dronevio.estimator.sfm.pairs import select_pairs
@@ -112,6 +113,8 @@ def reconstruct(
             images = replace(images, cameras=cameras)
         # Matching and geometric verification
         pairs = _match(images, features, keys, chosen, config, workspace, pool, stages("matching"))
+        if earlier is None:
+            images, pairs = _with_focal_lengths(images, features, pairs, config.verification)
         clock.lap("matching")
     # Tracks, and where poses are known the state to begin with
     scene = _scene(images, features, [*(known or []), *pairs])
@@ -235,12 +238,39 @@ def _match(
     return [pair for pairs in map_with_progress(pool, match, groups, progress) for pair in pairs]
 
 
+def _with_focal_lengths(
+    images: ImageSet, features: list[Features], pairs: list[TwoView], config: VerificationConfig
+) -> tuple[ImageSet, list[TwoView]]:
+    """Return the images with first focal lengths of pinholes that have none, and the pairs with their motion."""
+    cameras = guess_pinholes(images, features, pairs, config)
+    changed = np.array([new is not old for new, old in zip(cameras, images.cameras, strict=True)])[images.image_camera]
+    if not changed.any():
+        return images, pairs
+    views = [
+        view_of(f.pixels, cameras[k], bool(images.is_calibrated[k]))
+        for f, k in zip(features, images.image_camera.tolist(), strict=True)
+    ]
+    verified = [
+        verify(pair.first, pair.second, (views[pair.first], views[pair.second]), pair.matches, config)
+        if changed[pair.first] or changed[pair.second]
+        else pair
+        for pair in pairs
+    ]
+    return replace(images, cameras=cameras), [pair for pair in verified if pair is not None]
+
+
 def _scene(images: ImageSet, features: list[Features], pairs: Sequence[MatchedPair]) -> Scene:
     counts = np.array([len(f) for f in features], np.int64)
     tracks = connect_tracks(pairs, counts)
     pixels, sigmas = np.concatenate([f.pixels for f in features]), np.concatenate([f.sigmas for f in features])
     rows = (np.cumsum(counts) - counts)[tracks.image] + tracks.feature
-    return Scene(tracks, pixels[rows], sigmas[rows], images.image_camera, images.is_calibrated)
+    return Scene(tracks, pixels[rows], sigmas[rows], images.image_camera, images.is_calibrated, priors_of(images))
+
+
+def priors_of(images: ImageSet) -> tuple[IntrinsicsPrior, ...]:
+    """Return what is known of each camera (K,) beforehand."""
+    sigmas = [FOCAL_SIGMAS[source] for source in images.focal_source] or [FOCAL_SIGMAS["assumed"]] * len(images.cameras)
+    return tuple(IntrinsicsPrior(camera, sigma) for camera, sigma in zip(images.cameras, sigmas, strict=True))
 
 
 def _completed(scene: Scene, state: SfmState, features: list[Features], config: SfmConfig) -> tuple[Scene, SfmState]:
@@ -249,6 +279,7 @@ def _completed(scene: Scene, state: SfmState, features: list[Features], config: 
         scene, state = merge_tracks(scene, state, features, config.completion)
     if config.completion.guided:
         scene, state = add_observations(scene, state, features, config.completion)
+    scene, state = hold_undetermined(scene, state, config.mapper)
     return scene, finish(scene, state, config.mapper)
 
 
