@@ -15,6 +15,7 @@ import numpy as np
 from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.image_sets.image_set import FocalSource
+from dronevio.models.reconstruction import SelfCalibration
 
 FOCAL_SIGMAS: Mapping[FocalSource, float] = MappingProxyType(
     {"calibration": 0.02, "exif-35mm": 0.1, "exif-focal-plane": 0.1, "assumed": 0.3}
@@ -71,23 +72,19 @@ class IntrinsicsPrior:
         return np.array([self.focal_sigma * self.camera.fx, *self.distortion_sigmas])
 
 
-@dataclass(frozen=True)
-class Intrinsics:
-    """Which intrinsics of a camera were estimated, and how well its images determine them."""
+def self_calibration(prior: IntrinsicsPrior, covariance: Array | None) -> SelfCalibration:
+    """Return which parameters of a camera are estimated.
 
-    sigmas: Mapping[str, float]
-    """Standard deviations of the parameters that were estimated: of ``f`` [px], ``k1``, ``k2`` and so on."""
-    held: tuple[str, ...] = ()
-    """Parameters that the images do not determine, which have the value of the first guess."""
-
-    @classmethod
-    def of(cls, prior: IntrinsicsPrior, covariance: Array) -> "Intrinsics":
-        """Return the intrinsics of a camera, given the covariance of its parameters as GTSAM orders them."""
-        sigmas = np.sqrt(np.diag(covariance))
-        if not prior.is_pinhole:  # fx, fy, skew, cx, cy, k1, k2, k3, k4
-            return cls(dict(zip(("f", "k1", "k2", "k3", "k4"), sigmas[[0, 5, 6, 7, 8]].tolist(), strict=True)))
-        estimated = prior.estimated
-        return cls(dict(zip(_NAMES[:estimated], sigmas[:estimated].tolist(), strict=True)), _NAMES[estimated:])
+    Args:
+        prior: The prior, which states it.
+        covariance: Covariance of the parameters as `intrinsics_covariances` orders them; None if all are held.
+    """
+    sigmas = np.empty(0) if covariance is None else np.sqrt(np.diag(covariance))
+    if not prior.is_pinhole:
+        own = sigmas[[0, 5, 6, 7, 8]] if len(sigmas) else sigmas
+        return SelfCalibration(dict(zip(("f", "k1", "k2", "k3", "k4"), own.tolist(), strict=False)))
+    estimated = _NAMES[: prior.estimated]
+    return SelfCalibration(dict(zip(estimated, sigmas.tolist(), strict=False)), _NAMES[prior.estimated :])
 
 
 def without_undetermined(prior: IntrinsicsPrior, camera: CameraModel, covariance: Array) -> IntrinsicsPrior:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.sfm.adjustment import BundleAdjustmentConfig, adjust, intrinsics_covariances
 from dronevio.estimator.sfm.config import MapperConfig
-from dronevio.estimator.sfm.intrinsics import PARAMETERS, Intrinsics, without_undetermined
+from dronevio.estimator.sfm.intrinsics import PARAMETERS, self_calibration, without_undetermined
 from dronevio.estimator.sfm.model import Scene, SfmState, initial_state
 from dronevio.estimator.sfm.resection import resect
 from dronevio.estimator.sfm.structure import complete, remove_outliers, repair, triangulate
@@ -22,6 +22,7 @@ from dronevio.models.arrays import Array, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.progress import Progress, silent
+from dronevio.models.reconstruction import SelfCalibration
 
 Indices = npt.NDArray[np.int64]
 
@@ -131,15 +132,13 @@ def hold_undetermined(scene: Scene, state: SfmState, config: MapperConfig) -> tu
     return scene, state
 
 
-def intrinsics_of(scene: Scene, state: SfmState) -> dict[int, Intrinsics]:
-    """Return which intrinsics of each camera without a calibration are determined, by its index."""
-    used = np.unique(scene.image_camera[state.is_registered]).tolist()
+def self_calibrations(scene: Scene, state: SfmState) -> tuple[SelfCalibration | None, ...]:
+    """Return which parameters of each camera (K,) are estimated, None for cameras with a calibration."""
     covariances = _covariances(scene, state)
-    return {
-        k: Intrinsics.of(scene.priors[k], covariances.get(k, np.empty((0, 0))))
-        for k in used
-        if not scene.is_calibrated[k]
-    }
+    return tuple(
+        None if is_calibrated else self_calibration(prior, covariances.get(k))
+        for k, (prior, is_calibrated) in enumerate(zip(scene.priors, scene.is_calibrated, strict=True))
+    )
 
 
 def _covariances(scene: Scene, state: SfmState) -> dict[int, Array]:

@@ -24,9 +24,12 @@ if TYPE_CHECKING:
     from dronevio.estimator.sfm.placement.world import WorldFrame
     from dronevio.models.camera import CameraModel
     from dronevio.models.image_sets import ImageSet
+    from dronevio.models.reconstruction import SelfCalibration
 
 Format = Literal["colmap-binary", "colmap-text", "bundler", "ply"]
 
+PAIR = 2
+"""Number of images of a pair."""
 MOST_WARNINGS = 5
 """Number of images that cannot be used of which each has a warning."""
 
@@ -150,6 +153,7 @@ def main(arguments: Sequence[str]) -> int:
         print_json(_summary(target, images, result) | {"left_out": left_out})
         return 0
     _print(target, images, result, left_out)
+    _print_doubts(images, result)
     return 0
 
 
@@ -236,6 +240,7 @@ def _write(
         read_image=read,
         unit="m" if result.is_metric else "",
         up=_up(result),
+        calibrations=result.calibrations,
     )
     write_reconstruction_report(folder, info, results)
     write_reconstruction_rerun(result.reconstructions, folder / "run.rrd", read, up=results.up, name=target.name)
@@ -284,7 +289,51 @@ def _summary(target: Path, images: "ImageSet", result: "SfmResult") -> dict[str,
     statistics = to_jsonable(reconstruction_statistics(result.reconstructions, len(images.names)))
     assert isinstance(statistics, dict)
     worlds = to_jsonable(result.worlds)
-    return {"out": str(target), **statistics, "metric": result.is_metric, "worlds": worlds, "times_s": result.times_s}
+    pairs = sum(len(reconstruction.image_names) == PAIR for reconstruction in result.reconstructions)
+    cameras = [
+        {"component": number, **_camera_values(camera, calibration)}
+        for number, (reconstruction, calibrations) in enumerate(
+            zip(result.reconstructions, result.calibrations, strict=True), start=1
+        )
+        for camera, calibration in zip(reconstruction.cameras, calibrations, strict=True)
+    ]
+    summary = {"out": str(target), **statistics, "pairs": pairs, "metric": result.is_metric, "worlds": worlds}
+    return summary | {"cameras": cameras, "times_s": result.times_s}
+
+
+def _camera_values(camera: "CameraModel", calibration: "SelfCalibration | None") -> dict[str, Any]:
+    """Return the focal length and the distortion of a camera for JSON, and the standard deviations of estimates."""
+    return {
+        "f_px": math.sqrt(camera.fx * camera.fy),
+        "distortion": camera.distortion,
+        "sigmas": None if calibration is None else calibration.sigmas,
+        "held": None if calibration is None else calibration.held,
+    }
+
+
+def _print_doubts(images: "ImageSet", result: "SfmResult") -> None:
+    """Warn of what the images do not determine."""
+    largest = result.reconstructions[0]
+    if len(largest.image_names) == PAIR < len(images.names):
+        print_warning(
+            f"only pairs of the {len(images.names)} images were reconstructed, which determine no scene;"
+            " expected three or more images that overlap"
+        )
+    for camera, calibration in zip(largest.cameras, result.calibrations[0], strict=True):
+        if calibration is not None and "f" in calibration.held:
+            print_warning(
+                f"the images do not determine the focal length: {camera.fx:.0f} px is a guess, and so are angles and"
+                " proportions; a calibration of the camera (--calibration), or images in other directions, determine it"
+            )
+            break
+
+
+def _calibration_values(result: "SfmResult") -> list[tuple[str, str, str]]:
+    """Return the rows of the table about the first camera of the first component, if it was estimated."""
+    camera, calibration = result.reconstructions[0].cameras[0], result.calibrations[0][0]
+    if calibration is None or "f" not in calibration.sigmas:
+        return []
+    return [("focal length (first camera)", f"{camera.fx:.1f} ± {calibration.sigmas['f']:.1f}", "px")]
 
 
 def _world_values(world: "WorldFrame") -> list[tuple[str, str, str]]:
@@ -301,6 +350,16 @@ def _world_values(world: "WorldFrame") -> list[tuple[str, str, str]]:
     return [*rows, ("IMU not used", world.note, "")] if world.note else rows
 
 
+def _components(result: "SfmResult") -> str:
+    """Return the number of components; two images are a pair."""
+    pairs = sum(len(reconstruction.image_names) == PAIR for reconstruction in result.reconstructions)
+    larger = len(result.reconstructions) - pairs
+    if not pairs:
+        return f"{larger}"
+    of_two = "1 pair" if pairs == 1 else f"{pairs} pairs"
+    return f"{larger}, and {of_two} of images" if larger else f"none; {of_two} of images"
+
+
 def _print(target: Path, images: "ImageSet", result: "SfmResult", left_out: dict[str, str]) -> None:
     from dronevio.eval.metrics.reconstruction import reconstruction_statistics
 
@@ -310,12 +369,13 @@ def _print(target: Path, images: "ImageSet", result: "SfmResult", left_out: dict
         (
             ("images registered", f"{statistics.registered_images} of {statistics.images}", ""),
             *([("files that cannot be used", f"{len(left_out)}", "")] if left_out else []),
-            ("components", f"{statistics.components}", ""),
+            ("components", _components(result), ""),
             ("points", f"{statistics.points}", ""),
             ("observations", f"{statistics.observations}", ""),
             ("mean track length", f"{statistics.mean_track_length:.2f}", "images"),
             ("reprojection error, median", f"{statistics.error_median_px:.2f}", "px"),
             ("reprojection error, RMS", f"{statistics.error_rms_px:.2f}", "px"),
+            *_calibration_values(result),
             *_world_values(result.worlds[0]),
             *((stage, f"{seconds:.1f}", "s") for stage, seconds in result.times_s.items()),
         ),
