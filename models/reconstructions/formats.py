@@ -10,10 +10,12 @@ from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.reconstructions.bundler import HEADER, check_bundler_camera, read_bundler, write_bundler
 from dronevio.models.reconstructions.colmap import is_colmap, read_colmap, write_colmap
 from dronevio.models.reconstructions.colmap_cameras import camera_to_colmap
+from dronevio.models.reconstructions.colmap_rigs import RigFrames
+from dronevio.models.reconstructions.nerfstudio import check_nerfstudio, write_nerfstudio
 from dronevio.models.reconstructions.ply import MAGIC, read_ply, write_ply
 from dronevio.models.recordings.files import check_regular_file
 
-ReconstructionFormat = Literal["colmap-text", "colmap-binary", "bundler", "ply"]
+ReconstructionFormat = Literal["colmap-text", "colmap-binary", "bundler", "ply", "nerfstudio"]
 """Names of the formats that `write_reconstruction` writes."""
 
 _EXPECTED = "a folder of a COLMAP model, a file of Bundler (v0.3) or a PLY file"
@@ -64,6 +66,8 @@ def check_format(format: ReconstructionFormat, cameras: Sequence[CameraModel], n
     spaced = next((name for name in names if len(name.split()) != 1), None)
     if spaced is not None and format in ("bundler", "colmap-text"):
         raise ConfigError(f"{format}: the image {spaced!r}; expected a name without spaces, or --format colmap-binary")
+    if format == "nerfstudio":
+        check_nerfstudio(cameras)
     for index, camera in enumerate(cameras):
         if format in ("colmap-text", "colmap-binary"):
             camera_to_colmap(camera)
@@ -71,14 +75,18 @@ def check_format(format: ReconstructionFormat, cameras: Sequence[CameraModel], n
             check_bundler_camera(index, camera)
 
 
-def write_reconstruction(reconstruction: Reconstruction, path: Path | str, format: ReconstructionFormat) -> None:
+def write_reconstruction(
+    reconstruction: Reconstruction, path: Path | str, format: ReconstructionFormat, rig: RigFrames | None = None
+) -> None:
     """Write a reconstruction.
 
     Args:
         reconstruction: The reconstruction to write.
-        path: A folder for the formats of COLMAP, a file for the others.
-        format: ``colmap-text``, ``colmap-binary``, ``bundler`` (and a list of the images beside it) or ``ply`` (only
-            the points, binary).
+        path: A folder for the formats of COLMAP and nerfstudio, a file for the others.
+        format: ``colmap-text``, ``colmap-binary``, ``bundler`` (and a list of the images beside it), ``ply`` (only
+            the points, binary) or ``nerfstudio`` (``transforms.json`` and the points; images are expected in
+            ``images``).
+        rig: For the formats of COLMAP: images of one moment and the mounting of the cameras.
 
     Raises:
         InputError: The path cannot be written to, or has files of another model.
@@ -86,10 +94,12 @@ def write_reconstruction(reconstruction: Reconstruction, path: Path | str, forma
     """
     path = Path(path)
     if format in ("colmap-text", "colmap-binary"):
-        write_colmap(path, reconstruction, binary=format == "colmap-binary")
+        write_colmap(path, reconstruction, binary=format == "colmap-binary", rig=rig)
     elif format == "bundler":
         write_bundler(path, reconstruction)
     elif format == "ply":
         write_ply(path, reconstruction)
+    elif format == "nerfstudio":
+        write_nerfstudio(path, reconstruction)
     else:
         raise ConfigError(f"format {format!r}; expected one of {', '.join(get_args(ReconstructionFormat))}")

@@ -1,0 +1,90 @@
+"""Files of the result of structure from motion, with the images that other programs read beside them."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from dronevio.models.image_sets import ImageSet
+from dronevio.models.reconstruction import Reconstruction
+from dronevio.models.reconstructions import ReconstructionFormat, RigFrames, write_nerfstudio, write_reconstruction
+from dronevio.models.reconstructions.nerfstudio import IMAGES
+from dronevio.models.recordings.files import write_bytes
+from dronevio.models.recordings.images import encode_png
+
+
+def write_component(
+    folder: Path,
+    format: ReconstructionFormat,
+    number: int,
+    reconstruction: Reconstruction,
+    images: ImageSet,
+    *,
+    target: Path,
+    sources: Sequence[Path],
+    has_mounting: bool,
+) -> None:
+    """Write a component of a result in a format.
+
+    Args:
+        folder: Folder of the result, to write to.
+        format: Name of the format.
+        number: Index of the component, part of the names of files.
+        reconstruction: The component.
+        images: The images from which it was made.
+        target: Path that the folder will have, from which paths of images start.
+        sources: Folders of images; where an image is a file in one of them, it is not written again.
+        has_mounting: Whether the mounting of the cameras on a rig constrains the reconstruction, in metres.
+
+    Raises:
+        ConfigError: The format cannot represent a camera or a name of the reconstruction.
+        InputError: A file cannot be written, or an image cannot be read.
+    """
+    names = {"bundler": f"bundle-{number}.out", "ply": f"points-{number}.ply"}
+    path = folder / names.get(format, f"{format}/{number}")
+    if format == "nerfstudio":
+        paths = _image_paths(path, target / format / str(number), reconstruction.image_names, images, sources)
+        write_nerfstudio(path, reconstruction, paths)
+        return
+    rig = rig_frames(images, reconstruction) if has_mounting else None
+    write_reconstruction(reconstruction, path, format, rig)
+
+
+def rig_frames(images: ImageSet, reconstruction: Reconstruction) -> RigFrames | None:
+    """Return which images of a reconstruction in metres belong to one moment of a rig, and its mounting.
+
+    None if the images have no rig, or no moment has two registered images.
+
+    Args:
+        images: The images, with the mounting of their cameras.
+        reconstruction: Some of the images, which have cameras of their own.
+    """
+    if images.frame is None or images.Ts_imu_cam is None:
+        return None
+    row = {name: i for i, name in enumerate(images.names)}
+    rows = np.array([row[name] for name in reconstruction.image_names], np.int64)
+    frames = images.frame[rows]
+    if len(np.unique(frames)) == len(frames):
+        return None
+    _, first = np.unique(reconstruction.image_camera, return_index=True)
+    if len(first) < len(reconstruction.cameras):  # a camera without images has no mounting
+        return None
+    return RigFrames(frames, images.Ts_imu_cam[images.image_camera[rows[first]]])
+
+
+def _image_paths(
+    folder: Path, final: Path, names: Sequence[str], images: ImageSet, sources: Sequence[Path]
+) -> list[str]:
+    """Return the paths of images relative to a folder; images that are no files are written below it as PNG."""
+    row = {name: i for i, name in enumerate(images.names)}
+    paths = []
+    for name in names:
+        file = next((source / name for source in sources if (source / name).is_file()), None)
+        if file is None:
+            relative = f"{IMAGES}/{name if name.lower().endswith('.png') else f'{name}.png'}"
+            write_bytes(folder / relative, encode_png(images.read(row[name])))
+        else:
+            relative = Path(os.path.relpath(file.resolve(), final.resolve())).as_posix()
+        paths.append(relative)
+    return paths
