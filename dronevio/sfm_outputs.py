@@ -8,10 +8,16 @@ import numpy as np
 
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.reconstruction import Reconstruction
-from dronevio.models.reconstructions import ReconstructionFormat, RigFrames, write_nerfstudio, write_reconstruction
+from dronevio.models.reconstructions import (
+    ReconstructionFormat,
+    RigFrames,
+    write_nerfstudio,
+    write_openmvs,
+    write_reconstruction,
+)
 from dronevio.models.reconstructions.nerfstudio import IMAGES
 from dronevio.models.recordings.files import write_bytes
-from dronevio.models.recordings.images import encode_png
+from dronevio.models.recordings.images import encode_png, png_name
 
 
 def write_component(
@@ -43,6 +49,10 @@ def write_component(
     """
     names = {"bundler": f"bundle-{number}.out", "ply": f"points-{number}.ply"}
     path = folder / names.get(format, f"{format}/{number}")
+    row = {name: i for i, name in enumerate(images.names)}
+    if format == "openmvs":
+        write_openmvs(path, reconstruction, lambda name: images.read(row[name]))
+        return
     if format == "nerfstudio":
         paths = _image_paths(path, target / format / str(number), reconstruction.image_names, images, sources)
         write_nerfstudio(path, reconstruction, paths)
@@ -82,7 +92,7 @@ def _image_paths(
     for name in names:
         file = next((source / name for source in sources if (source / name).is_file()), None)
         if file is None:
-            relative = f"{IMAGES}/{name if name.lower().endswith('.png') else f'{name}.png'}"
+            relative = f"{IMAGES}/{png_name(name)}"
             write_bytes(folder / relative, encode_png(images.read(row[name])))
         else:
             relative = Path(os.path.relpath(file.resolve(), final.resolve())).as_posix()

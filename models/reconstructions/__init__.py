@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         write_reconstruction,
     )
     from dronevio.models.reconstructions.nerfstudio import write_nerfstudio
+    from dronevio.models.reconstructions.openmvs import write_openmvs
     from dronevio.models.reconstructions.ply import read_ply, write_ply
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "write_bundler",
     "write_colmap",
     "write_nerfstudio",
+    "write_openmvs",
     "write_ply",
     "write_reconstruction",
 ]
@@ -42,6 +44,7 @@ __getattr__, __dir__ = attach(
             "write_reconstruction",
         ),
         "dronevio.models.reconstructions.nerfstudio": ("write_nerfstudio",),
+        "dronevio.models.reconstructions.openmvs": ("write_openmvs",),
         "dronevio.models.reconstructions.ply": ("read_ply", "write_ply"),
     },
 )

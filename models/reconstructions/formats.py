@@ -12,10 +12,11 @@ from dronevio.models.reconstructions.colmap import is_colmap, read_colmap, write
 from dronevio.models.reconstructions.colmap_cameras import camera_to_colmap
 from dronevio.models.reconstructions.colmap_rigs import RigFrames
 from dronevio.models.reconstructions.nerfstudio import check_nerfstudio, write_nerfstudio
+from dronevio.models.reconstructions.openmvs import write_openmvs
 from dronevio.models.reconstructions.ply import MAGIC, read_ply, write_ply
 from dronevio.models.recordings.files import check_regular_file
 
-ReconstructionFormat = Literal["colmap-text", "colmap-binary", "bundler", "ply", "nerfstudio"]
+ReconstructionFormat = Literal["colmap-text", "colmap-binary", "bundler", "ply", "nerfstudio", "openmvs"]
 """Names of the formats that `write_reconstruction` writes."""
 
 _EXPECTED = "a folder of a COLMAP model, a file of Bundler (v0.3) or a PLY file"
@@ -82,10 +83,10 @@ def write_reconstruction(
 
     Args:
         reconstruction: The reconstruction to write.
-        path: A folder for the formats of COLMAP and nerfstudio, a file for the others.
+        path: A folder for the formats of COLMAP, nerfstudio and OpenMVS, a file for the others.
         format: ``colmap-text``, ``colmap-binary``, ``bundler`` (and a list of the images beside it), ``ply`` (only
-            the points, binary) or ``nerfstudio`` (``transforms.json`` and the points; images are expected in
-            ``images``).
+            the points, binary), ``nerfstudio`` (``transforms.json`` and the points; images are expected in ``images``)
+            or ``openmvs`` (``scene.mvs``; undistorted images are expected in ``images``, see `write_openmvs`).
         rig: For the formats of COLMAP: images of one moment and the mounting of the cameras.
 
     Raises:
@@ -101,5 +102,7 @@ def write_reconstruction(
         write_ply(path, reconstruction)
     elif format == "nerfstudio":
         write_nerfstudio(path, reconstruction)
+    elif format == "openmvs":
+        write_openmvs(path, reconstruction)
     else:
         raise ConfigError(f"format {format!r}; expected one of {', '.join(get_args(ReconstructionFormat))}")

@@ -175,6 +175,11 @@ def encode_png(image: Image) -> bytes:
     return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])
 
 
+def png_name(name: str) -> str:
+    """Return the name of an image as that of a PNG file."""
+    return name if name.lower().endswith(".png") else f"{name}.png"
+
+
 def _expected(width: int, height: int) -> str:
     """Return the description of an image for error messages."""
     return f"an image of {width} × {height} px"

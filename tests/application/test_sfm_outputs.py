@@ -124,3 +124,17 @@ def test_paths_start_from_the_final_folder(tmp_path: Path, images: ImageSet) -> 
     document = json.loads((tmp_path / ".new" / "nerfstudio" / "0" / "transforms.json").read_text(encoding="utf-8"))
     files = [frame["file_path"] for frame in document["frames"]]
     assert files == ["images/cam0/5.png", "../../../photographs/cam1/5.png"]
+
+
+def test_images_of_openmvs_are_undistorted(tmp_path: Path, images: ImageSet) -> None:
+    distorted = tuple(replace(camera, distortion=(-0.1, 0.0, 0.0, 0.0)) for camera in CAMERAS)
+    write(tmp_path, "openmvs", reconstruction_of([0, 1], distorted), images, [tmp_path], mounted=True)
+    folder = tmp_path / ".new" / "openmvs" / "0"
+    found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    assert found == {"scene.mvs", "images/cam0/5.png", "images/cam1/5.png"}
+    read = cv2.imread(str(folder / "images/cam0/5.png"), cv2.IMREAD_UNCHANGED)
+    assert read is not None and read.ndim == 3 and read.shape[1] > 64
+    # The principal points coincide: rows and columns at the centre stay.
+    np.testing.assert_allclose(
+        read[read.shape[0] // 2, read.shape[1] // 2, ::-1], picture(0)[23:25, 31:33].mean((0, 1)), atol=3
+    )

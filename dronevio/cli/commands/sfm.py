@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from dronevio.models.camera import CameraModel
     from dronevio.models.image_sets import ImageSet
 
-Format = Literal["colmap-binary", "colmap-text", "bundler", "ply", "nerfstudio"]
+Format = Literal["colmap-binary", "colmap-text", "bundler", "ply", "nerfstudio", "openmvs"]
 
 MOST_WARNINGS = 5
 """Number of images that cannot be used of which each has a warning."""
@@ -61,7 +61,7 @@ class SfmCommand(Settings):
     """Folder to make; runs/sfm-NAME by default."""
     format: tuple[Format, ...] = ("colmap-binary", "ply")
     """Formats of the reconstruction: COLMAP's binary or text model, Bundler's file, the points as PLY, a folder of
-    nerfstudio (transforms.json)."""
+    nerfstudio (transforms.json), a scene of OpenMVS with undistorted images."""
     camera: Literal["shared", "per-image"] | None = None
     """For folders: whether images of one size and lens share a camera, as by default, or each has its own."""
     calibration: Path | None = None

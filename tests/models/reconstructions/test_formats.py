@@ -20,7 +20,7 @@ Make = Callable[..., Reconstruction]
 CENTRED = CameraModel(640, 480, 500.0, 500.0, 319.5, 239.5, (-0.1, 0.02, 0.0, 0.0))
 
 
-WRITTEN_ONLY = ("nerfstudio",)
+WRITTEN_ONLY = ("nerfstudio", "openmvs")
 
 
 @pytest.mark.parametrize("form", [form for form in get_args(ReconstructionFormat) if form not in WRITTEN_ONLY])
