@@ -10,8 +10,10 @@ if TYPE_CHECKING:
     from dronevio.models.reconstructions.colmap_rigs import RigFrames
     from dronevio.models.reconstructions.formats import (
         ReconstructionFormat,
+        SurfaceFormat,
         read_reconstruction,
         write_reconstruction,
+        write_surfaces,
     )
     from dronevio.models.reconstructions.nerfstudio import write_nerfstudio
     from dronevio.models.reconstructions.openmvs import write_openmvs
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ReconstructionFormat",
     "RigFrames",
+    "SurfaceFormat",
     "read_bundler",
     "read_colmap",
     "read_ply",
@@ -30,6 +33,7 @@ __all__ = [
     "write_openmvs",
     "write_ply",
     "write_reconstruction",
+    "write_surfaces",
 ]
 
 __getattr__, __dir__ = attach(
@@ -40,8 +44,10 @@ __getattr__, __dir__ = attach(
         "dronevio.models.reconstructions.colmap_rigs": ("RigFrames",),
         "dronevio.models.reconstructions.formats": (
             "ReconstructionFormat",
+            "SurfaceFormat",
             "read_reconstruction",
             "write_reconstruction",
+            "write_surfaces",
         ),
         "dronevio.models.reconstructions.nerfstudio": ("write_nerfstudio",),
         "dronevio.models.reconstructions.openmvs": ("write_openmvs",),

@@ -1,4 +1,7 @@
-"""Reading and writing of reconstructions in any supported format, which is recognized when a file is read."""
+"""Reading and writing of reconstructions in any supported format, which is recognized when a file is read.
+
+Surfaces, points with normals and meshes, are only written.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,13 +14,21 @@ from dronevio.models.reconstructions.bundler import HEADER, check_bundler_camera
 from dronevio.models.reconstructions.colmap import is_colmap, read_colmap, write_colmap
 from dronevio.models.reconstructions.colmap_cameras import camera_to_colmap
 from dronevio.models.reconstructions.colmap_rigs import RigFrames
+from dronevio.models.reconstructions.geotiff import check_geotiff
+from dronevio.models.reconstructions.gltf import write_glb
+from dronevio.models.reconstructions.las import check_las, write_las
 from dronevio.models.reconstructions.nerfstudio import check_nerfstudio, write_nerfstudio
+from dronevio.models.reconstructions.obj import write_obj
 from dronevio.models.reconstructions.openmvs import write_openmvs
 from dronevio.models.reconstructions.ply import MAGIC, read_ply, write_ply
+from dronevio.models.reconstructions.ply_surfaces import write_cloud, write_mesh
 from dronevio.models.recordings.files import check_regular_file
+from dronevio.models.surfaces import Mesh, PointCloud
 
 ReconstructionFormat = Literal["colmap-text", "colmap-binary", "bundler", "ply", "nerfstudio", "openmvs"]
 """Names of the formats that `write_reconstruction` writes."""
+SurfaceFormat = Literal["ply", "glb", "obj", "las", "laz", "geotiff"]
+"""Names of the formats of surfaces."""
 
 _EXPECTED = "a folder of a COLMAP model, a file of Bundler (v0.3) or a PLY file"
 
@@ -106,3 +117,43 @@ def write_reconstruction(
         write_openmvs(path, reconstruction)
     else:
         raise ConfigError(f"format {format!r}; expected one of {', '.join(get_args(ReconstructionFormat))}")
+
+
+def check_surface_format(format: SurfaceFormat) -> None:
+    """Check that the packages are installed that a format of surfaces needs.
+
+    Raises:
+        ConfigError: A package is not installed.
+    """
+    if format in ("las", "laz"):
+        check_las()
+    elif format == "geotiff":
+        check_geotiff()
+
+
+def write_surfaces(folder: Path | str, cloud: PointCloud, mesh: Mesh, format: SurfaceFormat) -> None:
+    """Write the surfaces of a scene.
+
+    Args:
+        folder: The folder to write to; missing folders are created.
+        cloud: The points.
+        mesh: The triangles.
+        format: ``ply`` (points and mesh), ``glb`` or ``obj`` (the mesh), ``las`` or ``laz`` (the points). Maps are
+            written by `dronevio.models.reconstructions.geotiff`.
+
+    Raises:
+        InputError: A file cannot be written.
+        ConfigError: The format is unknown or of maps, or a package that it needs is not installed.
+    """
+    folder = Path(folder)
+    if format == "ply":
+        write_cloud(folder / "dense.ply", cloud)
+        write_mesh(folder / "mesh.ply", mesh)
+    elif format == "glb":
+        write_glb(folder / "mesh.glb", mesh)
+    elif format == "obj":
+        write_obj(folder / "mesh.obj", mesh)
+    elif format in ("las", "laz"):
+        write_las(folder / f"dense.{format}", cloud)
+    else:
+        raise ConfigError(f"format of surfaces {format!r}; expected one of ply, glb, obj, las, laz")

@@ -249,9 +249,11 @@ def test_surfaces_of_the_villa(
     reconstructed: Path, photographs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     small = ["--views.max-side-px", "240", "--depth.levels", "2", "--mesh.min-triangles", "20", "--json"]
+    small += ["--format", "ply", "glb", "obj"]
     assert main(["dense", str(reconstructed), "--out", str(tmp_path / "dense"), *small]) == 0
     summary = json.loads(capsys.readouterr().out)
     names = {"dense.jpg", "dense.ply", "mesh.jpg", "mesh.ply", "report.html", "report.json", "run.rrd"}
+    names |= {"mesh.glb", "mesh.obj"}
     assert {path.name for path in (tmp_path / "dense").iterdir()} == names
     points = read_reconstruction(tmp_path / "dense" / "dense.ply").points
     assert len(points) == summary["points"] > 2000

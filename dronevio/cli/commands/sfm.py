@@ -208,9 +208,9 @@ def _write(
     from dronevio.eval.provenance import RunInfo
     from dronevio.eval.report.reconstruction import ReconstructionResults, write_reconstruction_report
     from dronevio.eval.rerun.reconstruction import write_reconstruction_rerun
+    from dronevio.exports import write_component
     from dronevio.models.image_sets.source import ImageSource, write_image_source
     from dronevio.models.serialization import to_jsonable
-    from dronevio.sfm_outputs import write_component
 
     sources = [path for path in (command.images, command.earlier_images) if path is not None and path.is_dir()]
     for kind in command.format:

@@ -1,4 +1,4 @@
-"""Files that other programs read of the result of structure from motion."""
+"""Files of results for other programs."""
 
 import json
 from dataclasses import replace
@@ -8,12 +8,16 @@ import cv2
 import numpy as np
 import pytest
 
+from dronevio.cli import main
+from dronevio.estimator.dense.pipeline import DenseResult
+from dronevio.exports import check_surface_formats, rig_frames, write_component, write_surface_files
 from dronevio.models.camera import CameraModel
+from dronevio.models.errors import ConfigError
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.reconstruction import Reconstruction
-from dronevio.models.reconstructions import ReconstructionFormat
+from dronevio.models.reconstructions import ReconstructionFormat, SurfaceFormat
 from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.sfm_outputs import rig_frames, write_component
+from dronevio.models.surfaces import Mesh, PointCloud
 
 CAMERAS = (CameraModel(64, 48, 50.0, 50.0, 31.5, 23.5), CameraModel(32, 24, 30.0, 30.0, 15.5, 11.5))
 NAMES = ("cam0/5", "cam1/5", "cam0/6", "cam1/6", "cam0/7")
@@ -138,3 +142,68 @@ def test_images_of_openmvs_are_undistorted(tmp_path: Path, images: ImageSet) -> 
     np.testing.assert_allclose(
         read[read.shape[0] // 2, read.shape[1] // 2, ::-1], picture(0)[23:25, 31:33].mean((0, 1)), atol=3
     )
+
+
+# --- Surfaces
+
+
+def surfaces() -> DenseResult:
+    """Return a square of 4 × 3 m at height 2, of grey triangles, with a coloured point."""
+    corners = np.array([[0.0, 0.0, 2.0], [4.0, 0.0, 2.0], [4.0, 3.0, 2.0], [0.0, 3.0, 2.0]])
+    up = np.array([[0.0, 0.0, 1.0]])
+    mesh = Mesh(corners, np.repeat(up, 4, 0), np.full((4, 3), 90, np.uint8), np.array([[0, 1, 2], [0, 2, 3]]))
+    cloud = PointCloud(np.array([[3.75, 2.75, 2.1]]), up, np.array([[200, 100, 50]], np.uint8))
+    return DenseResult(cloud, mesh, spacing=0.5, voxel=1.0, depths=(), times_s={})
+
+
+@pytest.mark.parametrize(
+    ("form", "package", "names"),
+    [
+        ("ply", "numpy", {"dense.ply", "mesh.ply"}),
+        ("glb", "numpy", {"mesh.glb"}),
+        ("obj", "numpy", {"mesh.obj"}),
+        ("las", "laspy", {"dense.las"}),
+        ("laz", "laspy", {"dense.laz"}),
+        ("geotiff", "rasterio", {"orthophoto.tif", "height.tif"}),
+    ],
+)
+def test_files_of_surfaces(tmp_path: Path, form: SurfaceFormat, package: str, names: set[str]) -> None:
+    pytest.importorskip(package)
+    write_surface_files(tmp_path, form, surfaces())
+    assert {path.name for path in tmp_path.iterdir()} == names
+
+
+def test_a_map_of_surfaces(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    write_surface_files(tmp_path, "geotiff", surfaces())
+    with rasterio.open(tmp_path / "height.tif") as heights, rasterio.open(tmp_path / "orthophoto.tif") as photo:
+        assert heights.shape == (6, 8) and (heights.read(1) == 2.0).all()
+        colours = photo.read()
+        assert colours[:, 0, 7].tolist() == [200, 100, 50, 255]  # the point, in the north-eastern corner
+        assert (colours[:3].reshape(3, -1)[:, :7] == 90).all() and photo.bounds == heights.bounds == (0, 0, 4, 3)
+
+
+@pytest.mark.parametrize(
+    ("report", "message"),
+    [
+        ({"unit": "", "up": None}, "arbitrary scale"),
+        ({"unit": "m", "up": None}, "unknown vertical"),
+        ({"unit": "m", "up": [0.0, 0.0, 1.0]}, None),
+        (None, None),
+    ],
+)
+def test_maps_need_metres_and_the_vertical(
+    tmp_path: Path, report: dict[str, object] | None, message: str | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They are refused before anything else of the scene is read."""
+    pytest.importorskip("rasterio")
+    if report is not None:
+        (tmp_path / "report.json").write_text(json.dumps(report), encoding="utf-8")
+    check_surface_formats(("ply", "glb", "obj"), tmp_path)
+    if message is None:
+        check_surface_formats(("geotiff",), tmp_path)
+        return
+    with pytest.raises(ConfigError, match=message):
+        check_surface_formats(("ply", "geotiff"), tmp_path)
+    assert main(["dense", str(tmp_path), "--format", "geotiff", "--out", str(tmp_path / "out")]) == 2
+    assert f"world frame of {message}; expected metres and z up" in capsys.readouterr().err

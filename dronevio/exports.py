@@ -1,4 +1,4 @@
-"""Files of the result of structure from motion, with the images that other programs read beside them."""
+"""Files of results for other programs: reconstructions with the images that belong to them, and surfaces."""
 
 import os
 from collections.abc import Sequence
@@ -6,18 +6,26 @@ from pathlib import Path
 
 import numpy as np
 
+from dronevio.estimator.dense.overhead import overhead_map
+from dronevio.estimator.dense.pipeline import DenseResult
+from dronevio.models.errors import ConfigError
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.reconstructions import (
     ReconstructionFormat,
     RigFrames,
+    SurfaceFormat,
     write_nerfstudio,
     write_openmvs,
     write_reconstruction,
+    write_surfaces,
 )
+from dronevio.models.reconstructions.formats import check_surface_format
+from dronevio.models.reconstructions.geotiff import write_height_map, write_orthophoto
 from dronevio.models.reconstructions.nerfstudio import IMAGES
 from dronevio.models.recordings.files import write_bytes
 from dronevio.models.recordings.images import encode_png, png_name
+from dronevio.sfm_inputs import read_world
 
 
 def write_component(
@@ -98,3 +106,42 @@ def _image_paths(
             relative = Path(os.path.relpath(file.resolve(), final.resolve())).as_posix()
         paths.append(relative)
     return paths
+
+
+def write_surface_files(folder: Path, format: SurfaceFormat, result: DenseResult) -> None:
+    """Write the surfaces of a scene in a format; a map from above for ``geotiff``, of a world frame in metres, z up.
+
+    The cells of the map have the side of the distance between points. It has no geographic position.
+
+    Raises:
+        ConfigError: A package that the format needs is not installed.
+        InputError: A file cannot be written.
+    """
+    if format != "geotiff":
+        write_surfaces(folder, result.cloud, result.mesh, format)
+        return
+    view = overhead_map(result.cloud, result.mesh, result.spacing)
+    write_orthophoto(folder / "orthophoto.tif", view)
+    write_height_map(folder / "height.tif", view)
+
+
+def check_surface_formats(formats: Sequence[SurfaceFormat], scene: Path) -> None:
+    """Check that surfaces can be written in formats, before they are computed.
+
+    Args:
+        formats: Names of the formats.
+        scene: Folder of a result of ``dronevio sfm``, or another reconstruction, whose world frame is taken to be in
+            metres and z to point up.
+
+    Raises:
+        ConfigError: A package is not installed, or the world frame of the scene does not suit ``geotiff``.
+    """
+    for format in formats:
+        check_surface_format(format)
+    if "geotiff" not in formats or not (scene / "report.json").is_file():
+        return
+    world = read_world(scene / "report.json")
+    if not (world.is_metric and world.is_vertical):
+        found = "arbitrary scale" if not world.is_metric else "unknown vertical"
+        expected = "metres and z up, from an IMU or --poses of `dronevio sfm`"
+        raise ConfigError(f"GeoTIFF: {scene} has a world frame of {found}; expected {expected}")
