@@ -35,19 +35,17 @@ def write_component(
     reconstruction: Reconstruction,
     images: ImageSet,
     *,
-    target: Path,
     sources: Sequence[Path],
     has_mounting: bool,
 ) -> None:
     """Write a component of a result in a format.
 
     Args:
-        folder: Folder of the result, to write to.
+        folder: Folder of the result, to write to. Paths of images start from it, also if it is renamed afterwards.
         format: Name of the format.
         number: Index of the component, part of the names of files.
         reconstruction: The component.
         images: The images from which it was made.
-        target: Path that the folder will have, from which paths of images start.
         sources: Folders of images; where an image is a file in one of them, it is not written again.
         has_mounting: Whether the mounting of the cameras on a rig constrains the reconstruction, in metres.
 
@@ -62,7 +60,7 @@ def write_component(
         write_openmvs(path, reconstruction, lambda name: images.read(row[name]))
         return
     if format == "nerfstudio":
-        paths = _image_paths(path, target / format / str(number), reconstruction.image_names, images, sources)
+        paths = _image_paths(path, reconstruction.image_names, images, sources)
         write_nerfstudio(path, reconstruction, paths)
         return
     rig = rig_frames(images, reconstruction) if has_mounting else None
@@ -91,9 +89,7 @@ def rig_frames(images: ImageSet, reconstruction: Reconstruction) -> RigFrames | 
     return RigFrames(frames, images.Ts_imu_cam[images.image_camera[rows[first]]])
 
 
-def _image_paths(
-    folder: Path, final: Path, names: Sequence[str], images: ImageSet, sources: Sequence[Path]
-) -> list[str]:
+def _image_paths(folder: Path, names: Sequence[str], images: ImageSet, sources: Sequence[Path]) -> list[str]:
     """Return the paths of images relative to a folder; images that are no files are written below it as PNG."""
     row = {name: i for i, name in enumerate(images.names)}
     paths = []
@@ -103,7 +99,7 @@ def _image_paths(
             relative = f"{IMAGES}/{png_name(name)}"
             write_bytes(folder / relative, encode_png(images.read(row[name])))
         else:
-            relative = Path(os.path.relpath(file.resolve(), final.resolve())).as_posix()
+            relative = Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
         paths.append(relative)
     return paths
 

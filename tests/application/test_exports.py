@@ -72,8 +72,7 @@ def reconstruction_of(rows: list[int], cameras: tuple[CameraModel, ...] = CAMERA
 def write(
     folder: Path, form: ReconstructionFormat, r: Reconstruction, images: ImageSet, sources: list[Path], mounted: bool
 ) -> None:
-    out = folder / "out"
-    write_component(folder / ".new", form, 0, r, images, target=out, sources=sources, has_mounting=mounted)
+    write_component(folder / ".new", form, 0, r, images, sources=sources, has_mounting=mounted)
 
 
 def test_the_rig_is_that_of_the_calibration(tmp_path: Path, images: ImageSet) -> None:
@@ -118,7 +117,7 @@ def test_images_that_are_no_files_are_written_for_nerfstudio(tmp_path: Path, ima
         np.testing.assert_array_equal(read if read.ndim == 2 else read[..., ::-1], picture(i))
 
 
-def test_paths_start_from_the_final_folder(tmp_path: Path, images: ImageSet) -> None:
+def test_paths_lead_to_files(tmp_path: Path, images: ImageSet) -> None:
     names = tuple(f"{name}.png" for name in NAMES)
     named = replace(images, names=names)
     r = replace(reconstruction_of([0, 1]), image_names=names[:2])

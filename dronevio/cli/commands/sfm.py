@@ -215,9 +215,8 @@ def _write(
     sources = [path for path in (command.images, command.earlier_images) if path is not None and path.is_dir()]
     for kind in command.format:
         for number, (each, world) in enumerate(zip(result.reconstructions, result.worlds, strict=True)):
-            write_component(
-                folder, kind, number, each, images, target=target, sources=sources, has_mounting=world.scale == "rig"
-            )
+            has_mounting = world.scale == "rig"
+            write_component(folder, kind, number, each, images, sources=sources, has_mounting=has_mounting)
     source = ImageSource(command.images, command.earlier_images, command.masks, command.cameras)
     write_image_source(folder / "images.json", source)
     read = _reader(images)

@@ -42,9 +42,11 @@ def test_a_tilted_plane_is_exact(samples: int, monkeypatch: pytest.MonkeyPatch) 
     assert np.abs(view.colours[..., 1] - 40.0 * (x + 2.0)).max() < 2.0  # rounded at the vertices
 
 
+@pytest.mark.parametrize("samples", [1 << 22, 50], ids=["at once", "in parts"])
 @pytest.mark.parametrize("order", [1, -1])
-def test_the_highest_surface_is_seen(order: int) -> None:
+def test_the_highest_surface_is_seen(order: int, samples: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A roof of 2 × 2 at height 3 above ground of 10 × 10 at height 1, whatever comes first; a wall is not seen."""
+    monkeypatch.setattr(overhead, "_SAMPLES", samples)
     low, faces = ground(1.0, 0.0, 10.0)
     high, _ = ground(3.0, 4.0, 6.0)
     wall = np.array([[4.25, 4.25, 1.0], [5.75, 4.25, 1.0], [5.75, 4.25, 9.0]])  # through centres of cells
