@@ -92,14 +92,15 @@ def rig_frames(images: ImageSet, reconstruction: Reconstruction) -> RigFrames | 
 def _image_paths(folder: Path, names: Sequence[str], images: ImageSet, sources: Sequence[Path]) -> list[str]:
     """Return the paths of images relative to a folder; images that are no files are written below it as PNG."""
     row = {name: i for i, name in enumerate(images.names)}
+    folders = [source.resolve() for source in sources]
     paths = []
     for name in names:
-        file = next((source / name for source in sources if (source / name).is_file()), None)
+        file = next((source / name for source in folders if (source / name).is_file()), None)
         if file is None:
             relative = f"{IMAGES}/{png_name(name)}"
             write_bytes(folder / relative, encode_png(images.read(row[name])))
         else:
-            relative = Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
+            relative = Path(os.path.relpath(file, folder.resolve())).as_posix()
         paths.append(relative)
     return paths
 

@@ -16,7 +16,7 @@ from dronevio.models.surfaces import Mesh, OverheadMap, PointCloud
 
 Indices = npt.NDArray[np.int64]
 
-LARGEST_SIDE = 16_384
+LARGEST_SIDE = 8_192
 """Largest number of rows or columns; the cells of larger maps are larger than requested."""
 NEAR_CELLS = 3.0
 """Largest distance of a point from the surface along z whose colour it contributes to, in cells."""
@@ -125,6 +125,8 @@ def _with_points(colours: Floats, heights: Floats, cloud: PointCloud, grid: _Gri
     near = np.abs(cloud.points[inside, 2] - heights[cell]) < NEAR_CELLS * grid.cell  # not where there is no surface
     cell, found = cell[near], cloud.colours[inside][near]
     counts = np.bincount(cell, minlength=len(colours))
-    sums = np.stack([np.bincount(cell, found[:, k], len(colours)) for k in range(3)], axis=1)
-    mean = np.where(counts[:, None] > 0, sums / np.maximum(counts, 1)[:, None], np.nan_to_num(colours))
-    return np.asarray(np.rint(np.clip(mean, 0.0, 255.0)), np.uint8)
+    mixed = np.empty(colours.shape, np.uint8)
+    for k in range(3):  # one at a time, since maps are large
+        mean = np.bincount(cell, found[:, k], len(colours)) / np.maximum(counts, 1)
+        mixed[:, k] = np.rint(np.where(counts > 0, mean, np.nan_to_num(colours[:, k])))
+    return mixed

@@ -86,7 +86,7 @@ def write_nerfstudio(folder: Path, reconstruction: Reconstruction, image_paths: 
         "frames": frames,
     }
     write_ply(folder / POINTS, r)
-    write_text(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
+    write_text(path, json.dumps(document, indent=2) + "\n")
 
 
 def _model_name(cameras: Sequence[CameraModel]) -> str:
