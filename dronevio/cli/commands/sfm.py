@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from dronevio.models.image_sets import ImageSet
     from dronevio.models.reconstruction import SelfCalibration
 
-Format = Literal["colmap-binary", "colmap-text", "bundler", "ply"]
+Format = Literal["colmap-binary", "colmap-text", "bundler", "ply", "nerfstudio", "openmvs"]
 
 PAIR = 2
 """Number of images of a pair."""
@@ -63,7 +63,8 @@ class SfmCommand(Settings):
     out: Path | None = None
     """Folder to make; runs/sfm-NAME by default."""
     format: tuple[Format, ...] = ("colmap-binary", "ply")
-    """Formats of the reconstruction: COLMAP's binary or text model, Bundler's file, the points as PLY."""
+    """Formats of the reconstruction: COLMAP's binary or text model, Bundler's file, the points as PLY, a folder of
+    nerfstudio (transforms.json), a scene of OpenMVS with undistorted images."""
     camera: Literal["shared", "per-image"] | None = None
     """For folders: whether images of one size and lens share a camera, as by default, or each has its own."""
     calibration: Path | None = None
@@ -212,14 +213,15 @@ def _write(
     from dronevio.eval.provenance import RunInfo
     from dronevio.eval.report.reconstruction import ReconstructionResults, write_reconstruction_report
     from dronevio.eval.rerun.reconstruction import write_reconstruction_rerun
+    from dronevio.exports import write_component
     from dronevio.models.image_sets.source import ImageSource, write_image_source
-    from dronevio.models.reconstructions import write_reconstruction
     from dronevio.models.serialization import to_jsonable
 
+    sources = [path for path in (command.images, command.earlier_images) if path is not None and path.is_dir()]
     for kind in command.format:
-        for number, reconstruction in enumerate(result.reconstructions):
-            name = {"bundler": f"bundle-{number}.out", "ply": f"points-{number}.ply"}.get(kind, f"{kind}/{number}")
-            write_reconstruction(reconstruction, folder / name, kind)
+        for number, (each, world) in enumerate(zip(result.reconstructions, result.worlds, strict=True)):
+            has_mounting = world.scale == "rig"
+            write_component(folder, kind, number, each, images, sources=sources, has_mounting=has_mounting)
     source = ImageSource(command.images, command.earlier_images, command.masks, command.cameras)
     write_image_source(folder / "images.json", source)
     read = _reader(images)
