@@ -168,6 +168,8 @@ def sfm(
 ) -> SfmResult:
     """Reconstruct cameras and points from images alone (structure from motion).
 
+    With GPS tags or ground control points, the world frame is east, north, up; `SfmResult.worlds` has its origin.
+
     Args:
         images: A set of images, or the path of a folder of images, a video or a recording.
         config: Settings.

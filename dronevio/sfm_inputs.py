@@ -1,9 +1,10 @@
 """Inputs of structure from motion besides the images: an earlier reconstruction, and known poses."""
 
 import json
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from dronevio.estimator.sfm.placement.world import WorldFrame
 from dronevio.eval.metrics.association import interpolate
 from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.geodesy import AltitudeReference, GeodeticPoint
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.reconstructions import read_reconstruction
@@ -52,10 +54,19 @@ def read_world(report: Path) -> WorldFrame:
     """Return what the report of a result states about its world frame; an arbitrary one if there is no report."""
     try:
         values = json.loads(read_text(report, "the report of a result"))
-        is_metric, up = values.get("unit") == "m", values.get("up")
-    except (InputError, ValueError, AttributeError):
+        is_metric, up, origin = values.get("unit") == "m", values.get("up"), values.get("origin")
+        place = None if origin is None else _origin(origin)
+    except (InputError, KeyError, ValueError, AttributeError, TypeError):
         return WorldFrame()
-    return WorldFrame("earlier" if is_metric else "arbitrary", is_vertical=up == [0.0, 0.0, 1.0])
+    return WorldFrame("earlier" if is_metric else "arbitrary", is_vertical=up == [0.0, 0.0, 1.0], origin=place)
+
+
+def _origin(values: Any) -> GeodeticPoint:
+    """Return the origin of a world frame in a report; a malformed one raises KeyError, TypeError or ValueError."""
+    latitude, longitude, altitude = (float(values[name]) for name in ("latitude_deg", "longitude_deg", "altitude_m"))
+    if not math.isfinite(latitude + longitude + altitude) or values["reference"] not in get_args(AltitudeReference):
+        raise ValueError("a position on Earth is expected")
+    return GeodeticPoint(latitude, longitude, altitude, values["reference"])
 
 
 def read_poses(

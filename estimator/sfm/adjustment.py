@@ -21,7 +21,7 @@ import numpy.typing as npt
 from gtsam.symbol_shorthand import K, P, X
 
 from dronevio.estimator.sfm.intrinsics import PARAMETERS, IntrinsicsPrior
-from dronevio.estimator.sfm.model import KnownPoses, Scene, SfmState
+from dronevio.estimator.sfm.model import KnownPoses, PositionPriors, Scene, SfmState
 from dronevio.estimator.sfm.normalized import normalized
 from dronevio.models.arrays import Array, Mask
 from dronevio.models.camera import CameraModel
@@ -46,6 +46,9 @@ MIN_FISHEYE_COSINE = 0.1
 """Smallest cosine of the angle from the optical axis of the observations that an estimated fisheye is adjusted to."""
 RIG_SIGMAS = (1e-5, 1e-5)
 """Standard deviations of a known relative pose: rotation [rad], translation in units of the scene."""
+
+WEAK_ROTATION_SIGMA_RAD = 0.3
+"""Standard deviation of the rotation of one image beside measured positions [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +84,7 @@ def adjust(
     config: BundleAdjustmentConfig,
     rig: Sequence[RelativePose] = (),
     priors: KnownPoses | None = None,
+    positions: PositionPriors | None = None,
 ) -> SfmState:
     """Adjust poses, points and cameras; the images of `Scene.is_fixed` keep their poses.
 
@@ -91,8 +95,9 @@ def adjust(
         config: Settings of the optimizer.
         rig: Known relative poses of images.
         priors: Measured poses of at least two images, which then determine the world frame.
+        positions: Measured positions, which then determine the world frame, and near which the state is.
     """
-    problem = _problem(scene, state, selected, config, rig, priors)
+    problem = _problem(scene, state, selected, config, rig, priors, positions)
     # Damping by the diagonal of the Hessian: focal lengths, distortion and rotations differ in scale by orders.
     parameters = gtsam.LevenbergMarquardtParams.CeresDefaults()
     parameters.setMaxIterations(config.max_iterations)
@@ -120,7 +125,7 @@ def intrinsics_covariances(
     The parameters of a pinhole are focal length [px], k1, k2; of a fisheye fx, fy, skew, cx, cy, k1, k2, k3, k4. Their
     covariance is infinite where the observations do not determine the scene.
     """
-    problem = _problem(scene, state, selected, config, (), None)
+    problem = _problem(scene, state, selected, config)
     try:
         with _silenced():
             marginals = gtsam.Marginals(problem.graph, problem.values)
@@ -167,8 +172,9 @@ def _problem(
     state: SfmState,
     selected: Mask,
     config: BundleAdjustmentConfig,
-    rig: Sequence[RelativePose],
-    priors: KnownPoses | None,
+    rig: Sequence[RelativePose] = (),
+    priors: KnownPoses | None = None,
+    positions: PositionPriors | None = None,
 ) -> _Problem:
     """Return the problem of `adjust`."""
     # Observations that project with the current state
@@ -187,7 +193,9 @@ def _problem(
     noises = {sigma: _noise(sigma, config) for sigma in np.unique(scene.sigmas[index]).tolist()}
     _add_projections(graph, scene, state, index, calibrations, noises, config)
     _add_rig(graph, rig)
-    if priors is None:
+    if positions is not None:
+        _add_positions(graph, positions, state, images, tracks)
+    elif priors is None:
         _fix_gauge(graph, state, images, scene.is_fixed[images], has_scale=bool(rig))
     else:
         _add_priors(graph, priors, images)
@@ -348,6 +356,26 @@ def _add_priors(graph: gtsam.NonlinearFactorGraph, priors: KnownPoses, images: I
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([priors.sigma_rad, priors.sigma_m], 3))
     for i in images[priors.is_known[images]].tolist():
         graph.push_back(gtsam.PriorFactorPose3(X(i), gtsam.Pose3(priors.Ts_world_cam[i]), noise))
+
+
+def _add_positions(
+    graph: gtsam.NonlinearFactorGraph, positions: PositionPriors, state: SfmState, images: Indices, tracks: Indices
+) -> None:
+    """Add priors on positions, and a weak one on a rotation, for positions on a line do not determine all of them."""
+    loss = gtsam.noiseModel.mEstimator.Cauchy.Create(positions.cauchy_sigmas)
+
+    def noise(sigmas: Array) -> gtsam.noiseModel.Base:
+        return gtsam.noiseModel.Robust.Create(loss, gtsam.noiseModel.Diagonal.Sigmas(sigmas))
+
+    for i in images[np.isfinite(positions.cameras[images, 0])].tolist():
+        graph.push_back(gtsam.GPSFactor(X(i), positions.cameras[i], noise(positions.camera_sigmas[i])))
+    first = len(state.points) - len(positions.points)
+    for t in tracks[tracks >= first].tolist():
+        row = t - first
+        graph.push_back(gtsam.PriorFactorPoint3(P(t), positions.points[row], noise(positions.point_sigmas[row])))
+    held = gtsam.Rot3(state.Ts_world_cam[images[0], :3, :3])
+    weak = gtsam.noiseModel.Isotropic.Sigma(3, WEAK_ROTATION_SIGMA_RAD)
+    graph.push_back(gtsam.PoseRotationPrior3D(X(int(images[0])), held, weak))
 
 
 def _fix_gauge(

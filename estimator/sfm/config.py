@@ -126,6 +126,19 @@ class InertialConfig(Settings):
 
 
 @dataclass(frozen=True)
+class GpsConfig(Settings):
+    """World frame from the positions of photographs (GPS) and of ground control points."""
+
+    use: Literal["automatic", "required", "off"] = "automatic"
+    """``automatic`` uses positions if they determine the world frame, ``required`` fails if they do not, ``off``
+    ignores them."""
+    max_scale_sigma: Annotated[float, Range(above=0.0)] = 0.1
+    """Largest standard deviation of the scale, relative to the scale, at which the result is in metres."""
+    max_rotation_sigma_deg: Annotated[float, Range(above=0.0)] = 10.0
+    """Largest standard deviation of north and of the vertical at which the result is in east, north, up [deg]."""
+
+
+@dataclass(frozen=True)
 class SfmConfig(Settings):
     """Structure from motion."""
 
@@ -143,5 +156,7 @@ class SfmConfig(Settings):
     """Longer tracks of a finished reconstruction."""
     inertial: InertialConfig = field(default_factory=InertialConfig)
     """Gravity and scale from the IMU of a recording."""
+    gps: GpsConfig = field(default_factory=GpsConfig)
+    """World frame from the positions of photographs (GPS) and of ground control points."""
     threads: Annotated[int, Range(1, 256)] = 2
     """Number of threads that detect and match features."""

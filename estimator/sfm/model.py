@@ -56,6 +56,22 @@ class KnownPoses:
 
 
 @dataclass(frozen=True, eq=False)
+class PositionPriors:
+    """Measured positions of images and of tracks in the world frame, with a robust loss."""
+
+    cameras: Array
+    """(I, 3) Positions of the cameras; NaN where there is none."""
+    camera_sigmas: Array
+    """(I, 3) Their standard deviations along the axes of the world frame."""
+    points: Array
+    """(G, 3) Positions of the points of the last G tracks."""
+    point_sigmas: Array
+    """(G, 3) Their standard deviations."""
+    cauchy_sigmas: float
+    """Scale of the Cauchy loss, relative to the standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """The measurements: I images with M observations of T tracks. They do not change while the scene is mapped."""
 

@@ -134,7 +134,8 @@ def reconstruct(
     for state in states:
         completed.append(_completed(*_with_known_cameras(scene, state, completed), features, config))
     # World frame: scale, gravity and origin
-    placed = [(own, *place(own, state, images, config, poses)) for own, state in completed]
+    origin = None if earlier_world is None else earlier_world.origin
+    placed = [(own, *place(own, state, images, config, poses, origin)) for own, state in completed]
     if earlier is not None:
         placed[0] = placed[0][0], aligned(placed[0][1], Ts_earlier), earlier_world or WorldFrame()
     clock.lap("mapping")

@@ -7,6 +7,7 @@ from dronevio._lazy import attach
 if TYPE_CHECKING:
     from dronevio.models.image_sets.combined import joined, subset, with_earlier
     from dronevio.models.image_sets.folder import CameraSharing, image_folder
+    from dronevio.models.image_sets.geotags import GeoTags
     from dronevio.models.image_sets.image_set import FocalSource, ImageSet, InertialData
     from dronevio.models.image_sets.open import open_images
     from dronevio.models.image_sets.recording import image_recording
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 __all__ = [
     "CameraSharing",
     "FocalSource",
+    "GeoTags",
     "ImageSet",
     "InertialData",
     "image_folder",
@@ -31,6 +33,7 @@ __getattr__, __dir__ = attach(
     {
         "dronevio.models.image_sets.combined": ("joined", "subset", "with_earlier"),
         "dronevio.models.image_sets.folder": ("CameraSharing", "image_folder"),
+        "dronevio.models.image_sets.geotags": ("GeoTags",),
         "dronevio.models.image_sets.image_set": ("FocalSource", "ImageSet", "InertialData"),
         "dronevio.models.image_sets.open": ("open_images",),
         "dronevio.models.image_sets.recording": ("image_recording",),

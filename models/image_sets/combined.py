@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
+from dronevio.models.image_sets.geotags import joined_geotags
 from dronevio.models.image_sets.image_set import FocalSource, ImageSet, Indices
 
 Result = TypeVar("Result")
@@ -27,6 +28,8 @@ def subset(images: ImageSet, chosen: npt.ArrayLike) -> ImageSet:
         image_camera=images.image_camera[index],
         t_ns=None if images.t_ns is None else images.t_ns[index],
         frame=None if images.frame is None else images.frame[index],
+        geotags=None if images.geotags is None else images.geotags[index],
+        control_points=None if images.control_points is None else images.control_points.of_images(index),
         read=_indirect(images.read, index),
         read_mask=_indirect(images.read_mask, index),
     )
@@ -69,6 +72,8 @@ def joined(first: ImageSet, second: ImageSet) -> ImageSet:
         read_mask=_either(first.read_mask, second.read_mask, len(first)),
         focal_source=tuple(sources),
         skipped={**first.skipped, **second.skipped},
+        control_points=first.control_points,
+        geotags=joined_geotags(first.geotags, len(first), second.geotags, len(second)),
     )
 
 

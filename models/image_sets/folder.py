@@ -11,6 +11,8 @@ import numpy as np
 from dronevio.models.arrays import Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.image_sets.control_points import find_control_points
+from dronevio.models.image_sets.geotags import geotags_of
 from dronevio.models.image_sets.image_set import FocalSource, ImageSet, Indices
 from dronevio.models.image_sets.intrinsics import initial_camera
 from dronevio.models.image_sets.masks import find_masks
@@ -106,6 +108,8 @@ def image_folder(
         read_mask=find_masks(mask_path, names, image_camera, cameras),
         focal_source=sources,
         skipped=skipped,
+        geotags=geotags_of([header.geotag for header in headers]),
+        control_points=find_control_points(folder, names),
     )
 
 

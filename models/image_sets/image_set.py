@@ -10,6 +10,8 @@ import numpy.typing as npt
 from dronevio.models.arrays import Array, Image, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.image_sets.control_points import ControlPoints
+from dronevio.models.image_sets.geotags import GeoTags
 from dronevio.models.imu import ImuModel, ImuSamples, Times
 
 Indices = npt.NDArray[np.int64]
@@ -66,6 +68,10 @@ class ImageSet:
     """Measurements of the IMU during the images, None without any."""
     skipped: Mapping[str, InputError] = field(default_factory=dict)
     """Why files that look like images are not among them, by their names."""
+    geotags: GeoTags | None = None
+    """Positions and orientations of the images by their metadata, None without any."""
+    control_points: ControlPoints | None = None
+    """Ground control points in the images, None without any."""
 
     def __post_init__(self) -> None:
         """Check shapes, indices and names.
@@ -90,6 +96,9 @@ class ImageSet:
                 f"image set: image_camera has values from {self.image_camera.min()} to {self.image_camera.max()};"
                 f" expected 0 to {cameras - 1}"
             )
+        if self.geotags is not None and self.geotags.geodetic.shape != (images, 3):
+            found = self.geotags.geodetic.shape
+            raise ConfigError(f"image set: geotags have positions of shape {found}; expected {(images, 3)}")
         if len(set(self.names)) != images:
             repeated = next(name for name in self.names if self.names.count(name) > 1)
             raise ConfigError(f"image set: two images with the name {repeated}; expected unique names")

@@ -8,7 +8,7 @@ the range that occurs in those of their camera (`dronevio.models.recordings.bit_
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -17,6 +17,7 @@ import numpy as np
 
 from dronevio.models.arrays import Image
 from dronevio.models.errors import InputError
+from dronevio.models.image_sets.geotags import GeoTag, read_geotag
 from dronevio.models.image_sets.intrinsics import ExifCamera, exif_camera
 from dronevio.models.recordings.bit_depth import MAX_BITS, DeepImage, significant_bits, spread, to_8bit
 from dronevio.models.recordings.files import check_regular_file
@@ -43,7 +44,8 @@ Result = TypeVar("Result")
 _EXPECTED = "an image (JPEG, PNG, TIFF, BMP, WebP, AVIF, HEIC or PNM)"
 _FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "AVIF", "PPM")
 _HEIF_SUFFIXES = (".heic", ".heif")
-_ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
+_ORIENTATION, _EXIF_IFD, _GPS_IFD = 0x0112, 0x8769, 0x8825
+_XMP_TAG = 700  # of TIFF
 _SIDEWAYS = (5, 6, 7, 8)  # orientations that exchange rows and columns
 
 
@@ -59,6 +61,9 @@ class PhotoHeader:
     """Properties of camera and lens in the EXIF data."""
     is_deep: bool = False
     """Whether the image has 16 bits per channel."""
+    geotag: GeoTag | str | None = field(default=None, compare=False)
+    """Position in the metadata, None without one, or a text that says why it cannot be used. Headers are equal whatever
+    the position: images of one camera are."""
 
 
 def read_photo_header(path: Path) -> PhotoHeader:
@@ -160,7 +165,7 @@ def _header(image: "ImageFile") -> PhotoHeader:
     (width, height), is_deep = image.size, _is_deep(image)  # before the EXIF data, for which Pillow loads a PNG
     if _tiff_orientation(image) in _SIDEWAYS:
         width, height = height, width
-    return PhotoHeader(width, height, exif_camera(_exif_tags(image)), is_deep)
+    return PhotoHeader(width, height, exif_camera(_exif_tags(image)), is_deep, _geotag(image))
 
 
 def _is_deep(image: "ImageFile") -> bool:
@@ -175,6 +180,18 @@ def _exif_tags(image: "PillowImage.Image") -> dict[int, object]:
         return {**exif, **exif.get_ifd(_EXIF_IFD)}
     except Exception:  # the parser raises many kinds for damaged data
         return {}
+
+
+def _geotag(image: "ImageFile") -> GeoTag | str | None:
+    """Return the position in the metadata of an opened image; see `read_geotag`."""
+    try:
+        gps = dict(image.getexif().get_ifd(_GPS_IFD))
+    except Exception:  # the parser raises many kinds for damaged data
+        gps = {}
+    xmp = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or getattr(image, "tag_v2", {}).get(_XMP_TAG)
+    if isinstance(xmp, str):
+        xmp = xmp.encode("utf-8", "replace")
+    return read_geotag(gps, xmp if isinstance(xmp, bytes) else b"")
 
 
 def _tiff_orientation(image: "PillowImage.Image") -> int:

@@ -11,7 +11,9 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from dronevio.models.errors import InputError
+from dronevio.models.image_sets.control_points import find_control_points
 from dronevio.models.image_sets.folder import PhotoFiles, natural_key, photo_bits, usable_photos
+from dronevio.models.image_sets.geotags import GeoTag, geotags_of
 from dronevio.models.image_sets.image_set import FocalSource, ImageSet
 from dronevio.models.image_sets.masks import find_masks
 from dronevio.models.rig import Cameras, RigCamera, camera_indices
@@ -32,6 +34,8 @@ class _Photo:
     """Index of the camera among those that are used."""
     bits: int
     """Significant bits."""
+    geotag: GeoTag | str | None
+    """Position in the metadata; see `PhotoHeader`."""
 
     @property
     def moment(self) -> str:
@@ -72,7 +76,8 @@ def image_rig_folder(
         headers, unusable = usable_photos(folder / f"cam{number}", mask_path, rig[number].model)
         skipped |= {f"cam{number}/{name}": error for name, error in unusable.items()}
         bits = photo_bits([folder / f"cam{number}" / name for name in headers], list(headers.values()))
-        found += [_Photo(name, number, k, b) for name, b in zip(headers, bits, strict=True)]
+        rows = zip(headers.items(), bits, strict=True)
+        found += [_Photo(name, number, k, b, header.geotag) for (name, header), b in rows]
     found.sort(key=lambda photo: (natural_key(photo.moment), photo.camera))
     frames = {moment: row for row, moment in enumerate(dict.fromkeys(photo.moment for photo in found))}
     names = tuple(f"cam{photo.number}/{photo.name}" for photo in found)
@@ -93,4 +98,6 @@ def image_rig_folder(
         read_mask=find_masks(mask_path, names, image_camera, models),
         focal_source=(calibration,) * len(models),
         skipped=skipped,
+        geotags=geotags_of([photo.geotag for photo in found]),
+        control_points=find_control_points(folder, names),
     )

@@ -11,6 +11,8 @@ import cv2
 import gtsam
 import numpy as np
 import pytest
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
 
 import dronevio as dv
 from dronevio.cli import main
@@ -18,6 +20,7 @@ from dronevio.estimator.sfm.workspace import Workspace
 from dronevio.eval.metrics.alignment import umeyama
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
+from dronevio.models.geodesy import GeodeticPoint
 from dronevio.models.image_sets import image_recording
 from dronevio.models.image_sets.source import ImageSource, read_image_source, write_image_source
 from dronevio.models.reconstruction import Reconstruction
@@ -25,6 +28,7 @@ from dronevio.models.reconstructions import read_reconstruction, write_reconstru
 from dronevio.models.recordings.calibration.kalibr import camchain_yaml, imu_yaml
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3
+from dronevio.sfm_inputs import read_earlier
 
 Result = Any  # the class of conftest, which cannot be imported
 CommandRunner = Callable[..., Result]
@@ -83,6 +87,70 @@ def test_the_function_gives_the_same(photographs: Path, reconstructed: Path) -> 
     stored = read_reconstruction(reconstructed / "colmap-binary" / "0")
     np.testing.assert_allclose(result.positions, stored.positions, atol=1e-9)
     assert result.image_names == stored.image_names
+
+
+@pytest.fixture(scope="module")
+def tagged(photographs: Path, reconstructed: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+    """Folder with the five photographs and GPS tags, and their positions in east, north, up of an origin."""
+    folder = tmp_path_factory.mktemp("tagged")
+    found = read_reconstruction(reconstructed / "colmap-binary" / "0")
+    extent = np.linalg.norm(found.positions - found.positions.mean(axis=0), axis=1).max()
+    positions = 100.0 / extent * found.positions @ exp_so3(np.array([0.4, -0.9, 1.7])).T
+    rng = np.random.default_rng(0)
+    origin = GeodeticPoint(45.965, 9.203, 210.0)
+    for name, place in zip(
+        found.image_names, origin.from_enu(positions + rng.normal(scale=0.05, size=(5, 3))), strict=True
+    ):
+        exif = Image.Exif()
+        gps = exif.get_ifd(0x8825)
+        gps[1], gps[3] = "N", "E"
+        gps[2] = (IFDRational(round(place[0] * 1e9), 10**9), IFDRational(0, 1), IFDRational(0, 1))
+        gps[4] = (IFDRational(round(place[1] * 1e9), 10**9), IFDRational(0, 1), IFDRational(0, 1))
+        gps[5], gps[6], gps[31] = b"\x02", IFDRational(round(place[2] * 1e4), 10**4), IFDRational(5, 100)
+        with Image.open(photographs / name) as image:
+            image.save(folder / name, quality=95, exif=exif)
+    return folder, (origin, positions)
+
+
+def test_photographs_with_gps_are_placed_on_earth(
+    tagged: tuple[Path, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, (origin, positions) = tagged
+    out = tmp_path / "villa"
+    assert main(["sfm", str(folder), "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "metric (GPS)" in printed and "north, standard deviation" in printed and "(ellipsoid)" in printed
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    assert report["unit"] == "m" and report["up"] == [0.0, 0.0, 1.0]
+    stated = GeodeticPoint(**report["origin"])
+    found = read_reconstruction(out)
+    errors = origin.to_enu(stated.from_enu(found.positions)) - positions
+    # 5 cm of noise, and 0.5 % of the extent between two reconstructions of differently compressed photographs
+    assert np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.5
+    [geo] = report["georeferences"]
+    assert geo["source"] == "gps" and len(geo["residuals_m"]) == 5 and geo["scale_sigma"] < 0.05
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "Position on Earth" in page and f"{stated.latitude_deg:.6f}" in page
+    cameras = json.loads((out / "cameras.geojson").read_text(encoding="utf-8"))["features"]
+    assert [camera["properties"]["image"] for camera in cameras] == list(found.image_names)
+    assert (out / "cameras.kml").read_text(encoding="utf-8").count("<Placemark>") == 5
+    # The origin stays when images are added
+    earlier = read_earlier(out)
+    assert earlier.world.origin == stated and earlier.world.is_vertical
+    assert main(["sfm", str(folder), "--out", str(tmp_path / "off"), "--set", "gps.use=off", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["worlds"][0]["scale"] == "arbitrary"
+    assert not (tmp_path / "off" / "cameras.kml").exists()
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [{}, {"latitude_deg": "x"}, [1], {"latitude_deg": 1, "longitude_deg": 2, "altitude_m": 3, "reference": "moon"}],
+)
+def test_a_damaged_origin_of_an_earlier_result_is_ignored(reconstructed: Path, tmp_path: Path, origin: Any) -> None:
+    shutil.copytree(reconstructed, tmp_path / "villa")
+    report = json.loads((tmp_path / "villa" / "report.json").read_text(encoding="utf-8"))
+    (tmp_path / "villa" / "report.json").write_text(json.dumps(report | {"origin": origin}), encoding="utf-8")
+    assert read_earlier(tmp_path / "villa").world.origin is None
 
 
 def test_bad_files_are_left_out_and_named(

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from dronevio.estimator.sfm.pipeline import SfmResult
     from dronevio.estimator.sfm.placement.world import WorldFrame
     from dronevio.models.camera import CameraModel
+    from dronevio.models.geodesy import GeodeticPoint
     from dronevio.models.image_sets import ImageSet
     from dronevio.models.reconstruction import SelfCalibration
 
@@ -41,9 +42,10 @@ class SfmCommand(Settings):
     IMAGES is a folder of photographs, a video or a recording, or a folder with the images of a rig: cam0, cam1 and
     so on, and their calibration rig.yaml, a camchain.yaml of Kalibr. Without a calibration, focal length and
     distortion are estimated, from EXIF data or a guess; the cameras of a recording are calibrated. The IMU of a
-    recording, if the motion suffices, or two or more cameras give a reconstruction in metres; otherwise its scale is
-    arbitrary. With an IMU, z points up. The result is a folder with the reconstruction in each format, a report with
-    pictures and a rerun file.
+    recording, if the motion suffices, two or more cameras, or the GPS tags of photographs give a reconstruction in
+    metres; otherwise its scale is arbitrary. With an IMU, z points up. With GPS tags, or ground control points in
+    gcp.csv or gcp_list.txt beside the photographs, x points east, y north and z up (--set gps.use=off ignores both).
+    The result is a folder with the reconstruction in each format, a report with pictures and a rerun file.
 
     An interrupted reconstruction continues where it stopped when the same command is repeated. Images are added to an
     earlier result with --add-to.
@@ -243,7 +245,15 @@ def _write(
         unit="m" if result.is_metric else "",
         up=_up(result),
         calibrations=result.calibrations,
+        origin=_origin(result),
+        georeferences=tuple(world.geo for world in result.worlds),
     )
+    if results.origin is not None:
+        from dronevio.models.reconstructions.geographic import write_cameras_geojson, write_cameras_kml
+
+        placed = [r for r, world in zip(result.reconstructions, result.worlds, strict=True) if world.origin is not None]
+        write_cameras_geojson(folder / "cameras.geojson", placed, results.origin)
+        write_cameras_kml(folder / "cameras.kml", placed, results.origin, target.name)
     write_reconstruction_report(folder, info, results)
     write_reconstruction_rerun(result.reconstructions, folder / "run.rrd", read, up=results.up, name=target.name)
 
@@ -253,6 +263,11 @@ def _up(result: "SfmResult") -> Any:
     import numpy as np
 
     return np.array([0.0, 0.0, 1.0]) if all(world.is_vertical for world in result.worlds) else None
+
+
+def _origin(result: "SfmResult") -> "GeodeticPoint | None":
+    """Return where the origin of the world frame of the first component is on Earth, None if it is not known."""
+    return result.worlds[0].origin if result.worlds else None
 
 
 def _reader(images: "ImageSet") -> Callable[[str], Any]:
@@ -338,18 +353,39 @@ def _calibration_values(result: "SfmResult") -> list[tuple[str, str, str]]:
     return [("focal length (first camera)", f"{camera.fx:.1f} ± {calibration.sigmas['f']:.1f}", "px")]
 
 
-def _world_values(world: "WorldFrame") -> list[tuple[str, str, str]]:
+def _world_values(world: "WorldFrame", images: "ImageSet") -> list[tuple[str, str, str]]:
     """Return the rows of the table about the world frame of the first component."""
     import numpy as np
 
-    sources = {"rig": "metric (baselines of the rig)", "imu": "metric (IMU)", "poses": "metric (known poses)"}
+    sources = {
+        "rig": "metric (baselines of the rig)",
+        "imu": "metric (IMU)",
+        "poses": "metric (known poses)",
+        "gps": "metric (GPS)",
+        "control points": "metric (control points)",
+        "gps and control points": "metric (GPS and control points)",
+    }
     scale = sources.get(world.scale, "as in the earlier result" if world.scale == "earlier" else world.scale)
     rows = [("scale", scale, "")]
     if world.imu is not None and world.scale == "imu":
         rows.append(("scale, standard deviation", f"{100.0 * world.imu.scale_sigma:.2f}", "%"))
     if world.imu is not None and world.is_vertical:
         rows.append(("gravity, standard deviation", f"{np.degrees(world.imu.tilt_sigma_rad):.3f}", "°"))
-    return [*rows, ("IMU not used", world.note, "")] if world.note else rows
+    if world.geo is not None:
+        geo = world.geo
+        outliers = int(geo.is_outlier.sum() + geo.point_is_outlier.sum())
+        rows += [
+            ("scale, standard deviation", f"{100.0 * geo.scale_sigma:.2f}", "%"),
+            ("north, standard deviation", f"{np.degrees(geo.north_sigma_rad):.3f}", "°"),
+            ("vertical, standard deviation", f"{np.degrees(geo.tilt_sigma_rad):.3f}", "°"),
+            ("measured positions", f"{len(geo.image_names) + len(geo.point_names)}, outliers {outliers}", ""),
+            *((("left out"), note, "") for note in geo.notes),
+        ]
+    if world.origin is not None:
+        place = f"{world.origin.latitude_deg:.6f}°, {world.origin.longitude_deg:.6f}°, {world.origin.altitude_m:.1f} m"
+        rows.append(("origin of east, north, up", f"{place} ({world.origin.reference})", ""))
+    what = "IMU" if world.imu is not None or images.inertial is not None else "positions"
+    return [*rows, (f"{what} not used", world.note, "")] if world.note else rows
 
 
 def _components(result: "SfmResult") -> str:
@@ -378,7 +414,7 @@ def _print(target: Path, images: "ImageSet", result: "SfmResult", left_out: dict
             ("reprojection error, median", f"{statistics.error_median_px:.2f}", "px"),
             ("reprojection error, RMS", f"{statistics.error_rms_px:.2f}", "px"),
             *_calibration_values(result),
-            *_world_values(result.worlds[0]),
+            *_world_values(result.worlds[0], images),
             *((stage, f"{seconds:.1f}", "s") for stage, seconds in result.times_s.items()),
         ),
     )

@@ -1,7 +1,9 @@
 """World frame of a reconstruction: position, orientation and scale, which images alone do not determine.
 
-Known poses determine all of them. Otherwise the baselines of a rig determine the scale, or else the IMU of a recording,
-which also determines the direction of gravity. Without any of them, the frame is arbitrary.
+Known poses determine all of them. Otherwise the baselines of a rig determine the scale. The IMU of a recording
+determines the direction of gravity, and the scale unless a rig does. Without an IMU, the positions of photographs (GPS)
+and ground control points determine a frame in east, north and up, and the scale unless a rig does. Without any of them,
+the frame is arbitrary.
 """
 
 from dataclasses import dataclass, replace
@@ -15,14 +17,17 @@ from dronevio.estimator.sfm.adjustment import BundleAdjustmentConfig, adjust
 from dronevio.estimator.sfm.config import InertialConfig, SfmConfig
 from dronevio.estimator.sfm.model import KnownPoses, Scene, SfmState
 from dronevio.estimator.sfm.placement.gauge import aligned, transformed
+from dronevio.estimator.sfm.placement.georeference import geo_origin, georeference
 from dronevio.estimator.sfm.placement.inertial import InertialAlignment, align_with_imu
-from dronevio.estimator.sfm.placement.rig import impose_rig
+from dronevio.estimator.sfm.placement.rig import impose_rig, rig_poses
 from dronevio.models.errors import ConfigError
+from dronevio.models.geodesy import GeodeticPoint
+from dronevio.models.georeference import GeoReference, PositionSource
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.rotation import rotation_z, yaw_rad_from_matrix
 
 Indices = npt.NDArray[np.int64]
-ScaleSource = Literal["arbitrary", "rig", "imu", "poses", "earlier"]
+ScaleSource = Literal["arbitrary", "rig", "imu", "poses", "earlier"] | PositionSource
 """What determines the unit of a reconstruction; if it is not arbitrary, the unit is the metre."""
 
 MIN_POSES = 3
@@ -42,7 +47,12 @@ class WorldFrame:
     imu: InertialAlignment | None = None
     """Gravity and scale by the IMU, None if it was not used."""
     note: str = ""
-    """Why the IMU does not determine gravity or scale, empty if it does or was not used."""
+    """Why the IMU, or the positions of photographs, do not determine gravity or scale; empty if they do or were not
+    used."""
+    geo: GeoReference | None = None
+    """How measured positions determine the frame, None if they were not used."""
+    origin: GeodeticPoint | None = None
+    """Where the origin is on Earth, if x points east, y north and z up; None if it is unknown."""
 
     @property
     def is_metric(self) -> bool:
@@ -51,7 +61,12 @@ class WorldFrame:
 
 
 def place(
-    scene: Scene, state: SfmState, images: ImageSet, config: SfmConfig, poses: KnownPoses | None = None
+    scene: Scene,
+    state: SfmState,
+    images: ImageSet,
+    config: SfmConfig,
+    poses: KnownPoses | None = None,
+    origin: GeodeticPoint | None = None,
 ) -> tuple[SfmState, WorldFrame]:
     """Return a reconstruction in a world frame that is determined as well as possible, and how it is determined.
 
@@ -61,9 +76,10 @@ def place(
         images: The images, with the mounting of their cameras on a rig and the IMU.
         config: Settings.
         poses: Known poses of the images, None without any.
+        origin: Origin of a frame by measured positions; by default that of the positions.
 
     Raises:
-        ConfigError: The IMU is required and does not determine gravity and scale.
+        ConfigError: The IMU, or measured positions, are required and do not determine gravity and scale.
     """
     cauchy_px = config.mapper.final_cauchy_sigmas * state.noise_px(scene)
     if poses is not None:
@@ -75,7 +91,22 @@ def place(
             state = adjust(scene, aligned(state, poses.Ts_world_cam), state.used(scene), adjustment, priors=poses)
             return state, WorldFrame("poses", poses.is_vertical)
     state, is_metric = impose_rig(scene, state, images, cauchy_px)
-    return _level(state, images, config.inertial, WorldFrame("rig" if is_metric else "arbitrary"))
+    world = WorldFrame("rig" if is_metric else "arbitrary")
+    if config.inertial.use == "required" or (config.inertial.use != "off" and images.inertial is not None):
+        return _level(state, images, config.inertial, world)
+    if config.gps.use == "off" or (images.geotags is None and images.control_points is None):
+        if config.gps.use == "required":
+            raise ConfigError("images without positions, which are required; expected GPS tags or control points")
+        return _level(state, images, config.inertial, world)
+    rig = rig_poses(images, state.is_registered) if is_metric else []
+    chosen = origin or geo_origin(images)
+    state, geo, is_metric = georeference(scene, state, images, config, cauchy_px, chosen, rig)
+    if isinstance(geo, str):
+        if config.gps.use == "required":
+            raise ConfigError(f"positions do not determine the world frame: {geo}")
+        scale = world.scale if world.is_metric or not is_metric else "gps"
+        return state, WorldFrame(scale, note=geo)
+    return state, WorldFrame(world.scale if world.is_metric else geo.source, True, geo=geo, origin=chosen)
 
 
 def _level(state: SfmState, images: ImageSet, config: InertialConfig, world: WorldFrame) -> tuple[SfmState, WorldFrame]:

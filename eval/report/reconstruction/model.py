@@ -15,9 +15,13 @@
     up             up direction in the world frames, three numbers; null if it is not known
     positions      component, images, rmse_m, extent_m, rmse_percent, scale, reason of each component; empty without
                    true positions; the reason is null unless positions cannot be compared
+    origin         latitude_deg, longitude_deg, altitude_m and reference of the origin of the world frame, in which x
+                   points east, y north and z up; null if it is not known
+    georeferences  component and the fields of `GeoReference` of each component that measured positions determine
     configuration, versions, machine            as in `RunInfo`
 """
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -35,7 +39,10 @@ from dronevio.eval.provenance import RunInfo
 from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import EvaluationError
+from dronevio.models.geodesy import GeodeticPoint
+from dronevio.models.georeference import GeoReference
 from dronevio.models.reconstruction import Reconstruction, SelfCalibration
+from dronevio.models.serialization import to_jsonable
 
 Indices = npt.NDArray[np.int64]
 ReadImage = Callable[[str], Image | None]
@@ -68,6 +75,10 @@ class ReconstructionResults:
     """Unit of the world frames, such as m; empty if their scale is arbitrary."""
     calibrations: Sequence[Sequence[SelfCalibration | None]] = ()
     """Which parameters of each camera of each component were estimated; None for calibrated ones, empty if unknown."""
+    origin: GeodeticPoint | None = None
+    """Where the origin of the world frame is on Earth, with x east, y north and z up; None if it is unknown."""
+    georeferences: Sequence[GeoReference | None] = ()
+    """How measured positions determine the world frame of each component; empty if they do not."""
 
     def __post_init__(self) -> None:
         """Check that the fields belong to each other.
@@ -214,10 +225,23 @@ def report_values(info: RunInfo, results: ReconstructionResults) -> dict[str, ob
         "unit": results.unit,
         "up": None if results.up is None else results.up.tolist(),
         "positions": [_position_values(positions) for positions in position_comparisons(results)],
+        "origin": None if results.origin is None else asdict(results.origin),
+        "georeferences": [
+            {"component": number, **_georeference_values(geo)}
+            for number, geo in enumerate(results.georeferences, start=1)
+            if geo is not None
+        ],
         "configuration": info.configuration,
         "versions": info.versions,
         "machine": info.machine,
     }
+
+
+def _georeference_values(geo: GeoReference) -> dict[str, object]:
+    values = to_jsonable(geo)
+    assert isinstance(values, dict)
+    values["residuals_m"] = [[v if math.isfinite(v) else None for v in row] for row in geo.residuals_m.tolist()]
+    return values
 
 
 def _camera_values(summary: CameraSummary) -> dict[str, object]:

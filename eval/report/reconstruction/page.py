@@ -56,6 +56,10 @@ def reconstruction_page(info: RunInfo, results: ReconstructionResults) -> str:
         positions=[(p.component, p.reason) for p in positions if p.comparison is None],
         position_table=tables.position_table(positions),
         position_plots=list(_position_plots(positions)),
+        origin=results.origin,
+        georeference_table=tables.georeference_table(results),
+        measured_position_table=tables.measured_position_table(results),
+        georeference_notes=list(_georeference_notes(results)),
         camera_table=tables.camera_table(results),
         image_table=tables.image_table(results),
         unregistered=tables.unregistered_table(results),
@@ -163,6 +167,16 @@ def _match_plot(results: ReconstructionResults) -> Markup | None:
         fig.set_dpi(clouds.RASTER_DPI)
         plots.draw_match_counts(axes[0], counts)
     return as_svg(fig, f"Verified matches of {pairs} pairs of {len(counts)} images")
+
+
+def _georeference_notes(results: ReconstructionResults) -> Iterator[str]:
+    """Yield what was left out of the measured positions, and how gimbals compare with the result."""
+    georeferences = [geo for geo in results.georeferences if geo is not None]
+    yield from dict.fromkeys(note for geo in georeferences for note in geo.notes)
+    for geo in georeferences:
+        if geo.gimbal_deviation_deg is not None:
+            tilt, yaw = (number(value, 2) for value in geo.gimbal_deviation_deg)
+            yield f"the gimbals differ from the estimated orientations by {tilt}° in tilt and {yaw}° in yaw (medians)"
 
 
 def _position_plots(positions: list[ComponentPositions]) -> Iterator[Markup]:

@@ -1,7 +1,10 @@
 """Tables of the report of a reconstruction: components, cameras, images, positions and processing times."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from dronevio.eval.metrics.metric import DASH
 from dronevio.eval.report.reconstruction.model import (
@@ -12,6 +15,7 @@ from dronevio.eval.report.reconstruction.model import (
 )
 from dronevio.eval.report.tables import Cell, Table
 from dronevio.eval.report.templating import number
+from dronevio.models.arrays import Array
 
 
 def component_table(results: ReconstructionResults) -> Table:
@@ -91,6 +95,61 @@ def position_table(positions: Sequence[ComponentPositions]) -> Table:
         if (comparison := item.comparison) is not None
     )
     return Table("Positions against the true ones", columns, rows)
+
+
+def georeference_table(results: ReconstructionResults) -> Table:
+    """Return how well measured positions determine the world frame of each component."""
+    columns = (
+        "component",
+        "positions",
+        "outliers",
+        "residuals, RMS east, north, up [m]",
+        "factor on their σ",
+        "σ of the scale [%]",
+        "σ of north [°]",
+        "σ of the vertical [°]",
+    )
+    rows = tuple(
+        (
+            _count(index),
+            Cell(str(len(geo.image_names) + len(geo.point_names)), detail=geo.source),
+            _count(int(geo.is_outlier.sum() + geo.point_is_outlier.sum())),
+            Cell(", ".join(f"{value:.3g}" for value in _rms(np.concatenate([geo.residuals_m, geo.point_residuals_m])))),
+            _value(geo.noise_factor, 2),
+            _value(100.0 * geo.scale_sigma, 3),
+            _value(math.degrees(geo.north_sigma_rad), 3),
+            _value(math.degrees(geo.tilt_sigma_rad), 3),
+        )
+        for index, geo in enumerate(results.georeferences, start=1)
+        if geo is not None
+    )
+    return Table("World frame by measured positions", columns, rows)
+
+
+def measured_position_table(results: ReconstructionResults) -> Table:
+    """Return the residuals of the measured positions of images and of control points."""
+    columns = ("position", "east [m]", "north [m]", "up [m]", "error [px]")
+    rows = []
+    for geo in results.georeferences:
+        if geo is None:
+            continue
+        points = zip(geo.point_names, geo.point_residuals_m, geo.point_errors_px, geo.point_is_outlier, strict=True)
+        images = zip(geo.image_names, geo.residuals_m, geo.is_outlier, strict=True)
+        listed: list[tuple[str, Array, float | None, bool]] = [
+            (f"control point {name}", r, float(px), out) for name, r, px, out in points
+        ]
+        listed += [(name, r, None, out) for name, r, out in images]
+        for name, residual, error_px, is_outlier in listed:
+            values = (_value(float(v) if math.isfinite(v) else None, 3) for v in residual)
+            rows.append((Cell(name, warning="outlier" if is_outlier else ""), *values, _value(error_px, 2)))
+    return Table("Measured minus estimated positions", columns, tuple(rows))
+
+
+def _rms(residuals: Array) -> Array:
+    """Return the root mean square (3,) of residuals (N, 3), NaN left out."""
+    known = np.isfinite(residuals)
+    squares = np.where(known, residuals, 0.0) ** 2
+    return np.asarray(np.sqrt(squares.sum(axis=0) / np.maximum(known.sum(axis=0), 1)))
 
 
 def time_table(results: ReconstructionResults) -> Table:
