@@ -9,6 +9,7 @@ import numpy as np
 from dronevio.estimator.dense.overhead import overhead_map
 from dronevio.estimator.dense.pipeline import DenseResult
 from dronevio.models.errors import ConfigError
+from dronevio.models.geodesy import GeodeticPoint
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.reconstructions import (
@@ -105,10 +106,13 @@ def _image_paths(folder: Path, names: Sequence[str], images: ImageSet, sources: 
     return paths
 
 
-def write_surface_files(folder: Path, format: SurfaceFormat, result: DenseResult) -> None:
+def write_surface_files(
+    folder: Path, format: SurfaceFormat, result: DenseResult, origin: GeodeticPoint | None = None
+) -> None:
     """Write the surfaces of a scene in a format; a map from above for ``geotiff``, of a world frame in metres, z up.
 
-    The cells of the map have the side of the distance between points. It has no geographic position.
+    The cells of the map have the side of the distance between points. It has a place on Earth if the origin of the
+    world frame, with x east and y north, has one.
 
     Raises:
         ConfigError: A package that the format needs is not installed.
@@ -118,8 +122,8 @@ def write_surface_files(folder: Path, format: SurfaceFormat, result: DenseResult
         write_surfaces(folder, result.cloud, result.mesh, format)
         return
     view = overhead_map(result.cloud, result.mesh, result.spacing)
-    write_orthophoto(folder / "orthophoto.tif", view)
-    write_height_map(folder / "height.tif", view)
+    write_orthophoto(folder / "orthophoto.tif", view, origin)
+    write_height_map(folder / "height.tif", view, origin)
 
 
 def check_surface_formats(formats: Sequence[SurfaceFormat], scene: Path) -> None:

@@ -13,6 +13,7 @@ from dronevio.estimator.dense.pipeline import DenseResult
 from dronevio.exports import check_surface_formats, rig_frames, write_component, write_surface_files
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
+from dronevio.models.geodesy import GeodeticPoint
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.reconstructions import ReconstructionFormat, SurfaceFormat
@@ -180,6 +181,19 @@ def test_a_map_of_surfaces(tmp_path: Path) -> None:
         colours = photo.read()
         assert colours[:, 0, 7].tolist() == [200, 100, 50, 255]  # the point, in the north-eastern corner
         assert (colours[:3].reshape(3, -1)[:, :7] == 90).all() and photo.bounds == heights.bounds == (0, 0, 4, 3)
+
+
+def test_a_map_has_the_place_of_its_origin(tmp_path: Path) -> None:
+    """The north-western corner, 3 m north of the origin."""
+    rasterio = pytest.importorskip("rasterio")
+    from rasterio.warp import transform
+
+    origin = GeodeticPoint(47.0, 8.0, 500.0)
+    write_surface_files(tmp_path, "geotiff", surfaces(), origin)
+    with rasterio.open(tmp_path / "height.tif") as heights:
+        np.testing.assert_allclose(heights.read(1), 502.0)
+        [longitude], [latitude] = transform(heights.crs, "EPSG:4326", [heights.bounds.left], [heights.bounds.top])
+    np.testing.assert_allclose(origin.to_enu(np.array([latitude, longitude, 500.0])), [0.0, 3.0, 0.0], atol=1e-3)
 
 
 @pytest.mark.parametrize(

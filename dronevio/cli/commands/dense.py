@@ -152,9 +152,11 @@ def _write(
     from dronevio.eval.rerun.dense import write_dense_rerun
     from dronevio.exports import write_surface_files
     from dronevio.models.serialization import to_jsonable
+    from dronevio.sfm_inputs import read_world
 
+    origin = read_world(command.scene / "report.json").origin if command.component == 0 else None
     for kind in command.format:
-        write_surface_files(folder, kind, result)
+        write_surface_files(folder, kind, result, origin)
     info = RunInfo(
         title=f"Surfaces: {command.scene.name}",
         command=shlex.join(["dronevio", "dense", *arguments]),

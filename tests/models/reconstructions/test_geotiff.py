@@ -8,6 +8,7 @@ import pytest
 
 from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
+from dronevio.models.geodesy import GeodeticPoint
 from dronevio.models.reconstructions.geotiff import write_height_map, write_orthophoto
 from dronevio.models.surfaces import OverheadMap
 
@@ -56,7 +57,7 @@ def test_east_and_north_are_those_of_the_origin(tmp_path: Path, view: OverheadMa
     rasterio = pytest.importorskip("rasterio")
     from rasterio.warp import transform
 
-    write_height_map(tmp_path / "height.tif", view, ORIGIN)
+    write_height_map(tmp_path / "height.tif", view, GeodeticPoint(*ORIGIN))
     with rasterio.open(tmp_path / "height.tif") as read:
         np.testing.assert_allclose(read.read(1), view.heights + 488.0, rtol=1e-6)
         system = read.crs
@@ -106,7 +107,7 @@ def geodetic_deg(p: Array) -> tuple[float, float]:
 def test_refusals(tmp_path: Path, view: OverheadMap, monkeypatch: pytest.MonkeyPatch) -> None:
     if "rasterio" in sys.modules or pytest.importorskip("rasterio"):
         with pytest.raises(ConfigError, match=r"latitude 91.0°, .* expected a position on the Earth"):
-            write_height_map(tmp_path / "a.tif", view, (91.0, 0.0, 0.0))
+            write_height_map(tmp_path / "a.tif", view, GeodeticPoint(91.0, 0.0, 0.0))
     with pytest.raises(ConfigError, match=r"cell = 0\.0; expected"):
         OverheadMap((0.0, 0.0), 0.0, view.heights, view.colours)
     with pytest.raises(ConfigError, match=r"colours of shape \(400, 300, 3\)"):
