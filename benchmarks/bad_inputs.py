@@ -43,8 +43,8 @@ OPTIONS = (
     "--set estimator.smoother=9",
     "--settings missing.toml",
     "--estimator.gravity-m-s2 inf",
-    "--cameras 0",
     "--cameras 9",
+    "--cameras left",
     "--keyframes 9",
     "--imu none",
 )

@@ -47,11 +47,11 @@ def read_earlier(path: Path) -> EarlierResult:
     reconstruction = read_reconstruction(path)
     if not reconstruction.image_names:
         raise InputError(path, "points without images", "the result of dronevio sfm, or a model of COLMAP")
-    return EarlierResult(reconstruction, _world(path / "report.json"))
+    return EarlierResult(reconstruction, read_world(path / "report.json"))
 
 
-def _world(report: Path) -> WorldFrame:
-    """Return what the report of a result states about its world frame."""
+def read_world(report: Path) -> WorldFrame:
+    """Return what the report of a result states about its world frame; an arbitrary one if there is no report."""
     try:
         values = json.loads(read_text(report, "the report of a result"))
         is_metric, up, origin = values.get("unit") == "m", values.get("up"), values.get("origin")

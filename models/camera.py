@@ -10,6 +10,8 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.lenses.lens import LENSES, LensName, check_coefficients
 from dronevio.models.ranges import Range, Settings
 
+_BORDER_SAMPLES = 65  # on the central row and column, whose undistorted positions bound an undistorted image
+
 
 @dataclass(frozen=True)
 class CameraModel(Settings):
@@ -112,6 +114,21 @@ class CameraModel(Settings):
     def undistort(self, xy_distorted: Array) -> Array:
         """Return undistorted normalized coordinates (…, 2) of distorted ones (…, 2); NaN as in `normalize`."""
         return _at_depth_1(LENSES[self.lens].unproject(np.asarray(xy_distorted, dtype=np.float64), self.distortion))
+
+    def normalized_bounds(self, limit: float) -> tuple[Array, Array]:
+        """Return the smallest and the largest normalized coordinates (2,), (2,) on the central row and column.
+
+        They bound an undistorted image that extends to the middle of each side.
+
+        Args:
+            limit: Upper limit of their magnitude, the tangent of the largest angle from the optical axis.
+        """
+        right, bottom = self.width - 0.5, self.height - 0.5
+        u, v = np.linspace(-0.5, right, _BORDER_SAMPLES), np.linspace(-0.5, bottom, _BORDER_SAMPLES)
+        row, column = np.stack([u, np.full_like(u, self.cy)], 1), np.stack([np.full_like(v, self.cx), v], 1)
+        xy = self.normalize(np.concatenate([row, column]))
+        xy = np.clip(xy[np.isfinite(xy).all(axis=1)], -limit, limit)
+        return xy.min(axis=0), xy.max(axis=0)
 
     def _rays(self, pixels: Array) -> Array:
         """Return rays (…, 3) in the camera frame of pixels (…, 2), of arbitrary length."""

@@ -1,5 +1,6 @@
 """Reconstruction of a scene from images: cameras, poses, points, and the observations that connect them."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -11,6 +12,16 @@ from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 
 Indices = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class SelfCalibration:
+    """Which parameters of a camera without a calibration were estimated from its images."""
+
+    sigmas: Mapping[str, float]
+    """Standard deviation of each parameter that was: of ``f`` [px], ``k1``, ``k2`` and so on."""
+    held: tuple[str, ...] = ()
+    """Parameters that the images do not determine, and which have the value of the first guess."""
 
 
 @dataclass(frozen=True, eq=False)

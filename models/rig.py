@@ -1,7 +1,8 @@
 """Sensor rig: cameras and IMU of a drone with their calibration."""
 
-from dataclasses import dataclass, field
-from typing import Annotated
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated, TypeAlias
 
 import numpy as np
 
@@ -10,6 +11,12 @@ from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import EUROC_IMU, ImuModel
 from dronevio.models.ranges import Range, Settings, require
+
+Cameras: TypeAlias = Sequence[int | str] | str | int | None
+"""Cameras to use: indices or names ``cam0``, ``cam1``, ...; a number of cameras from the first on; or None for all."""
+
+MAX_CAMERAS = 16
+"""Largest number of cameras of a rig in files."""
 
 _ORTHONORMAL = 1e-4  # published extrinsics have as few as 5 digits
 
@@ -70,15 +77,36 @@ class Rig(Settings):
                 f"cameras with rate_hz = {', '.join(map(str, rates))}; expected one rate for all images of a frame"
             )
 
+    def with_cameras(self, indices: Sequence[int]) -> "Rig":
+        """Return the rig with some of its cameras, of which the first is the main camera: time offsets refer to it."""
+        chosen = [self.cameras[index] for index in indices]
+        first_s = chosen[0].time_offset_s
+        cameras = tuple(replace(camera, time_offset_s=camera.time_offset_s - first_s) for camera in chosen)
+        return replace(self, cameras=cameras, time_offset_s=self.time_offset_s + first_s)
 
-def check_camera_count(cameras: int | None) -> None:
-    """Check a number of cameras to use, where None means all cameras of a recording.
+
+def camera_indices(cameras: Cameras, count: int) -> tuple[int, ...]:
+    """Return the indices of the cameras to use.
+
+    Args:
+        cameras: Indices or names of cameras, the number of cameras to use from the first on, or None for all.
+        count: Number of cameras that there are.
 
     Raises:
-        ConfigError: The number is less than 1.
+        ConfigError: A camera does not exist or is chosen twice, or none is chosen.
     """
-    if cameras is not None and cameras < 1:
-        raise ConfigError(f"cameras = {cameras}; expected 1 or more, or None for all")
+    if cameras is None or isinstance(cameras, int):
+        number = count if cameras is None else cameras
+        if not 1 <= number <= count:
+            raise ConfigError(f"{number} cameras; expected 1 to {count}")
+        return tuple(range(number))
+    chosen = (cameras,) if isinstance(cameras, str) else cameras
+    names = {name: index for index in range(count) for name in (str(index), f"cam{index}")}
+    indices = tuple(names.get(str(camera), -1) for camera in chosen)
+    if not indices or min(indices) < 0 or len(set(indices)) < len(indices):
+        there = "cam0" if count == 1 else f"different ones of cam0 to cam{count - 1}, by index or name"
+        raise ConfigError(f"cameras {', '.join(map(str, chosen)) or 'none'}; expected {there}")
+    return indices
 
 
 def _require_rigid(name: str, T: Array) -> None:

@@ -1,4 +1,4 @@
-"""Surfaces of a scene: coloured point clouds with normals, and triangle meshes."""
+"""Surfaces of a scene: coloured point clouds with normals, triangle meshes, and maps seen from above."""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.arrays import Array
+from dronevio.models.arrays import Array, Floats, Image
 from dronevio.models.errors import ConfigError
 
 Colours = npt.NDArray[np.uint8]
@@ -75,6 +75,35 @@ class Mesh:
     def transformed(self, scale: float, R: Array, t: Array) -> Self:
         """Return the mesh in a new world frame, as `Reconstruction.transformed` does."""
         return replace(self, vertices=scale * self.vertices @ R.T + t, normals=self.normals @ R.T)
+
+
+@dataclass(frozen=True, eq=False)
+class OverheadMap:
+    """Heights and colours of a scene seen vertically from above, in square cells; z of the world frame points up.
+
+    The first row is that of the largest y (north), the first column that of the smallest x (west).
+    """
+
+    west_north: tuple[float, float]
+    """Smallest x and largest y of the map: the outer corner of the first cell."""
+    cell: float
+    """Side of a cell, above zero."""
+    heights: Floats
+    """(H, W) Height z of the highest surface at the centre of each cell; NaN where there is none."""
+    colours: Image
+    """(H, W, 3) Red, green and blue; black where there is no surface."""
+
+    def __post_init__(self) -> None:
+        """Check the shapes.
+
+        Raises:
+            ConfigError: Heights and colours differ, or the side of a cell is not above zero.
+        """
+        if self.heights.ndim != 2 or self.colours.shape != (*self.heights.shape, 3):
+            found = f"heights of shape {self.heights.shape} and colours of shape {self.colours.shape}"
+            raise ConfigError(f"overhead map: {found}; expected (H, W) and (H, W, 3)")
+        if not 0.0 < self.cell < np.inf:
+            raise ConfigError(f"overhead map: cell = {self.cell}; expected a length above zero")
 
 
 def _check_shapes(kind: str, count: int, **values: npt.NDArray[np.generic]) -> None:

@@ -142,7 +142,6 @@ def test_defaults_are_not_at_the_ends_of_nothing(kind: type) -> None:
             "estimate x --set estimator.initialization.dynamic-sigmas.tilt-rad=0",
             "dronevio: --set estimator.initialization.dynamic-sigmas.tilt-rad 0.0; expected",
         ),
-        ("estimate x --cameras 0", "dronevio: --cameras 0; expected a whole number, 1 to 16, or None"),
         ("fly --wind.mean-m-s 1 2 nan", "--wind.mean-m-s (1.0, 2.0, nan); expected 3 numbers, each -50 to 50"),
         ("fly --scenario", "dronevio: --scenario: expected one argument"),
     ],

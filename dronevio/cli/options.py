@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from dronevio.models.errors import ConfigError
-from dronevio.models.ranges import Range, Settings
+from dronevio.models.ranges import Settings
 from dronevio.models.recordings.bag.options import BagTopics
 
 if TYPE_CHECKING:
@@ -37,8 +36,9 @@ class OutputOptions(PrintOptions):
 class RecordingOptions(Settings):
     """How a command reads a recording."""
 
-    cameras: Annotated[int | None, Range(1, 16)] = None
-    """Number of cameras to use, from the first on. All cameras are used by default."""
+    cameras: tuple[str, ...] | None = None
+    """Cameras to use, by index or name: 0 or cam0, 1 or cam1, ... The first one is the main camera. All cameras are
+    used by default."""
     calibration: tuple[Path, ...] = ()
     """Calibration files that replace or complete that of the recording: Kalibr's camchain.yaml, imu.yaml or both, or
     Basalt's calibration.json."""
@@ -61,7 +61,7 @@ class RecordingOptions(Settings):
 
         Raises:
             InputError: It cannot be read.
-            ConfigError: It does not have as many cameras as are asked for, or there is no IMU of the given name.
+            ConfigError: A camera does not exist, or there is no IMU of the given name.
         """
         from dronevio.models.recordings.open import open_recording
 
@@ -79,9 +79,6 @@ class RecordingOptions(Settings):
 
             assert isinstance(recording, VideoRecording)  # others refuse the option
             recording = with_estimated_rotation(recording)
-        present = len(recording.rig.cameras)
-        if self.cameras is not None and present < self.cameras:
-            raise ConfigError(f"--cameras {self.cameras}: {path} has {present}; expected {present} or fewer")
         return recording
 
 

@@ -16,7 +16,6 @@ from dronevio.models.image_sets import ImageSet
 from dronevio.models.reconstruction import Reconstruction
 
 _CACHED_VIEWS = 24  # images in memory
-_BORDER_SAMPLES = 65  # on the central row and column, whose undistorted positions bound the new image
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +72,7 @@ class Undistortion:
         The undistorted image has the resolution of the camera at its centre, reduced to the largest size. It extends to
         the middle of each side of the image, but not beyond the largest angle; stretched corners are cut.
         """
-        low, high = _bounds(model, np.tan(np.radians(config.max_angle_deg)))
+        low, high = model.normalized_bounds(np.tan(np.radians(config.max_angle_deg)))
         full = np.array(model.central_focal_px) * (high - low)
         scale = min(1.0, config.max_side_px / float(full.max()))
         f = scale * np.array(model.central_focal_px)
@@ -94,16 +93,6 @@ class Undistortion:
             image = np.asarray(cv2.resize(image, self.size, interpolation=cv2.INTER_AREA))
         u, v = self.map_px[..., 0], self.map_px[..., 1]
         return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
-
-
-def _bounds(model: CameraModel, limit: float) -> tuple[Array, Array]:
-    """Return the smallest and largest normalized coordinates (2,), (2,) on the central row and column."""
-    right, bottom = model.width - 0.5, model.height - 0.5
-    u, v = np.linspace(-0.5, right, _BORDER_SAMPLES), np.linspace(-0.5, bottom, _BORDER_SAMPLES)
-    cross = np.concatenate([np.stack([u, np.full_like(u, model.cy)], 1), np.stack([np.full_like(v, model.cx), v], 1)])
-    xy = model.normalize(cross)
-    xy = np.clip(xy[np.isfinite(xy).all(axis=1)], -limit, limit)
-    return xy.min(axis=0), xy.max(axis=0)
 
 
 class ViewLoader:

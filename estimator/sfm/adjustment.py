@@ -6,8 +6,13 @@ calibrated, and their observations are those of a pinhole (`dronevio.estimator.s
 have priors; without them, a prior on one pose and on the distance to a second fixes the gauge.
 """
 
-from collections.abc import Sequence
+import ctypes
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated, TypeAlias
 
 import gtsam
@@ -15,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from gtsam.symbol_shorthand import K, P, X
 
+from dronevio.estimator.sfm.intrinsics import PARAMETERS, IntrinsicsPrior
 from dronevio.estimator.sfm.model import KnownPoses, PositionPriors, Scene, SfmState
 from dronevio.estimator.sfm.normalized import normalized
 from dronevio.models.arrays import Array, Mask
@@ -34,6 +40,8 @@ PIXEL_SIGMA = 1.0
 """Standard deviation of the observation of a small feature [px]."""
 FISHEYE_SIGMAS = (0.1, 0.1, 0.1, 0.1)
 """Standard deviations of the priors of the distortion coefficients of a fisheye."""
+HELD_SIGMA = 1e-4
+"""Standard deviation of an intrinsic parameter that is held, relative to that of its prior."""
 MIN_FISHEYE_COSINE = 0.1
 """Smallest cosine of the angle from the optical axis of the observations that an estimated fisheye is adjusted to."""
 RIG_SIGMAS = (1e-5, 1e-5)
@@ -65,6 +73,8 @@ class BundleAdjustmentConfig(Settings):
     """Relative decrease of the error at which the optimizer stops."""
     cauchy_px: Annotated[float | None, Range(above=0.0)] = None
     """Scale of the Cauchy loss [px] for small features; None for a squared loss."""
+    noise_px: Annotated[float, Range(above=0.0)] = PIXEL_SIGMA
+    """Standard deviation of the observation of a small feature [px]."""
 
 
 def adjust(
@@ -87,6 +97,86 @@ def adjust(
         priors: Measured poses of at least two images, which then determine the world frame.
         positions: Measured positions, which then determine the world frame, and near which the state is.
     """
+    problem = _problem(scene, state, selected, config, rig, priors, positions)
+    # Damping by the diagonal of the Hessian: focal lengths, distortion and rotations differ in scale by orders.
+    parameters = gtsam.LevenbergMarquardtParams.CeresDefaults()
+    parameters.setMaxIterations(config.max_iterations)
+    parameters.setRelativeErrorTol(config.relative_tolerance)
+    parameters.setAbsoluteErrorTol(1e-12)
+    with _silenced():
+        result = gtsam.LevenbergMarquardtOptimizer(problem.graph, problem.values, parameters).optimize()
+    # State at the optimum
+    Ts_world_cam, points = state.Ts_world_cam.copy(), state.points.copy()
+    for i in problem.images[~scene.is_fixed[problem.images]]:
+        Ts_world_cam[i] = result.atPose3(X(i)).matrix()
+    for t in problem.tracks:
+        points[t] = result.atPoint3(P(t))
+    cameras = list(state.cameras)
+    for k in problem.estimated:
+        cameras[k] = _prior(scene, state, k).held(_estimated(cameras[k], result, k))
+    return replace(state, cameras=tuple(cameras), Ts_world_cam=Ts_world_cam, points=points)
+
+
+def intrinsics_covariances(
+    scene: Scene, state: SfmState, selected: Mask, config: BundleAdjustmentConfig
+) -> dict[int, Array]:
+    """Return the covariance of the intrinsics of each estimated camera, by its index, at the optimum of `adjust`.
+
+    The parameters of a pinhole are focal length [px], k1, k2; of a fisheye fx, fy, skew, cx, cy, k1, k2, k3, k4. Their
+    covariance is infinite where the observations do not determine the scene.
+    """
+    problem = _problem(scene, state, selected, config)
+    try:
+        with _silenced():
+            marginals = gtsam.Marginals(problem.graph, problem.values)
+            found = {k: np.asarray(marginals.marginalCovariance(K(k))) for k in problem.estimated}
+    except RuntimeError:  # an indeterminate linear system
+        found = {}
+    sizes = {k: 9 if state.cameras[k].lens == "equidistant" else 3 for k in problem.estimated if k not in found}
+    return found | {k: np.diag(np.full(size, np.inf)) for k, size in sizes.items()}
+
+
+@contextmanager
+def _silenced() -> Iterator[None]:
+    """Suppress standard output, to which GTSAM prints each point that moves behind a camera that is estimated."""
+    sys.stdout.flush()
+    try:
+        saved = os.dup(1)
+    except OSError:  # it is closed
+        yield
+        return
+    with Path(os.devnull).open("wb") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+    try:
+        yield
+    finally:
+        with suppress(OSError, TypeError, AttributeError):
+            ctypes.CDLL(None).fflush(None)
+        os.dup2(saved, 1)
+        os.close(saved)
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """A factor graph with initial values of its variables."""
+
+    graph: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    images: Indices
+    tracks: Indices
+    estimated: tuple[int, ...]
+
+
+def _problem(
+    scene: Scene,
+    state: SfmState,
+    selected: Mask,
+    config: BundleAdjustmentConfig,
+    rig: Sequence[RelativePose] = (),
+    priors: KnownPoses | None = None,
+    positions: PositionPriors | None = None,
+) -> _Problem:
+    """Return the problem of `adjust`."""
     # Observations that project with the current state
     is_held = [not _is_estimated(camera) for camera in state.cameras]
     scene = replace(scene, is_calibrated=scene.is_calibrated | is_held)
@@ -109,61 +199,43 @@ def adjust(
         _fix_gauge(graph, state, images, scene.is_fixed[images], has_scale=bool(rig))
     else:
         _add_priors(graph, priors, images)
-
-    # Damping by the diagonal of the Hessian: focal lengths, distortion and rotations differ in scale by orders.
-    parameters = gtsam.LevenbergMarquardtParams.CeresDefaults()
-    parameters.setMaxIterations(config.max_iterations)
-    parameters.setRelativeErrorTol(config.relative_tolerance)
-    parameters.setAbsoluteErrorTol(1e-12)
-    result = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
-
-    # State at the optimum
-    Ts_world_cam, points = state.Ts_world_cam.copy(), state.points.copy()
-    for i in images[~scene.is_fixed[images]]:
-        Ts_world_cam[i] = result.atPose3(X(i)).matrix()
-    for t in tracks:
-        points[t] = result.atPoint3(P(t))
-    cameras = list(state.cameras)
-    for k in np.unique(scene.image_camera[images]):
-        if not scene.is_calibrated[k]:
-            cameras[k] = _estimated(cameras[k], result, k)
-    return replace(state, cameras=tuple(cameras), Ts_world_cam=Ts_world_cam, points=points)
+    estimated = tuple(k for k, calibration in calibrations.items() if calibration is None)
+    return _Problem(graph, values, images, tracks, estimated)
 
 
 def _projected(scene: Scene, state: SfmState, index: Indices) -> Indices:
-    """Return the observations without those that GTSAM does not project, at 90° and beyond.
+    """Return the observations without those that GTSAM does not project: of points behind the camera.
 
-    These are the ones of an estimated fisheye, and of lenses that are replaced by a pinhole. Points that have fewer
+    Those of an estimated fisheye, and of lenses that are replaced by a pinhole, end before 90°. Points that have fewer
     than two other observations are left out.
     """
     is_normalized = np.array([_calibration(camera) is UNIT for camera in state.cameras])
     is_fisheye = np.array([camera.lens == "equidistant" for camera in state.cameras]) & ~scene.is_calibrated
     is_fisheye |= is_normalized
-    if not is_fisheye.any():
-        return index
     image, track = scene.tracks.image[index], scene.tracks.track[index]
     relative = state.points[track] - state.Ts_world_cam[image, :3, 3]
     cosine = np.sum(relative * state.Ts_world_cam[image, :3, 2], axis=1) / np.linalg.norm(relative, axis=1)
-    is_ahead = cosine > MIN_FISHEYE_COSINE
+    is_ahead = cosine > np.where(is_fisheye[scene.image_camera[image]], MIN_FISHEYE_COSINE, 0.0)
     if is_normalized.any():  # their measured bearings have to be ahead, too
         is_ahead &= ~is_normalized[scene.image_camera[image]] | (
             state.bearings(scene, index)[:, 2] > MIN_FISHEYE_COSINE
         )
-    index = index[~is_fisheye[scene.image_camera[image]] | is_ahead]
+    index = index[is_ahead]
     counts = np.bincount(scene.tracks.track[index], minlength=scene.tracks.count)
     return np.asarray(index[counts[scene.tracks.track[index]] >= 2])
 
 
 def _noise(sigma: float, config: BundleAdjustmentConfig) -> gtsam.noiseModel.Base:
     """Return the noise of an observation of a relative standard deviation."""
-    return _robust(gtsam.noiseModel.Isotropic.Sigma(2, PIXEL_SIGMA * sigma), config)
+    return _robust(gtsam.noiseModel.Isotropic.Sigma(2, config.noise_px * sigma), config)
 
 
 def _robust(gaussian: gtsam.noiseModel.Base, config: BundleAdjustmentConfig) -> gtsam.noiseModel.Base:
     """Return the noise of an observation with the loss of the configuration."""
     if config.cauchy_px is None:
         return gaussian
-    return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(config.cauchy_px), gaussian)
+    loss = gtsam.noiseModel.mEstimator.Cauchy.Create(config.cauchy_px / config.noise_px)
+    return gtsam.noiseModel.Robust.Create(loss, gaussian)
 
 
 def _is_estimated(camera: CameraModel) -> bool:
@@ -175,31 +247,50 @@ def _calibration(camera: CameraModel) -> Calibration:
     """Return GTSAM's calibration of a camera, `UNIT` if it has none."""
     if not _is_estimated(camera):
         return UNIT
-    model = gtsam.Cal3DS2 if camera.lens == "radtan" else gtsam.Cal3Fisheye
-    return model(camera.fx, camera.fy, 0.0, camera.cx, camera.cy, *camera.distortion)
+    if camera.lens == "equidistant":
+        return _fisheye(camera)
+    return gtsam.Cal3DS2(camera.fx, camera.fy, 0.0, camera.cx, camera.cy, *camera.distortion)
+
+
+def _prior(scene: Scene, state: SfmState, k: int) -> IntrinsicsPrior:
+    """Return what is known of a camera beforehand, by default its current model."""
+    return scene.priors[k] if scene.priors else IntrinsicsPrior(state.cameras[k])
+
+
+def _bundler(camera: CameraModel) -> gtsam.Cal3Bundler:
+    """Return GTSAM's calibration of a pinhole with two radial coefficients."""
+    return gtsam.Cal3Bundler(camera.fx, camera.distortion[0], camera.distortion[1], camera.cx, camera.cy)
+
+
+def _fisheye(camera: CameraModel) -> gtsam.Cal3Fisheye:
+    """Return GTSAM's calibration of a fisheye."""
+    return gtsam.Cal3Fisheye(camera.fx, camera.fy, 0.0, camera.cx, camera.cy, *camera.distortion)
 
 
 def _insert_cameras(
     scene: Scene, state: SfmState, used: Indices, values: gtsam.Values, graph: gtsam.NonlinearFactorGraph
 ) -> dict[int, Calibration | None]:
-    """Insert the cameras (K,) that are estimated, with weak priors, and return the others."""
+    """Insert the cameras (K,) that are estimated, with their priors, and return the others."""
     calibrations: dict[int, Calibration | None] = {}
     for k in used.tolist():
         camera = state.cameras[k]
         if scene.is_calibrated[k]:
             calibrations[k] = _calibration(camera)
             continue
+        prior = _prior(scene, state, k)
+        if prior.is_pinhole and prior.estimated == 0:
+            calibrations[k] = _calibration(camera)
+            continue
         calibrations[k] = None
         if camera.lens == "equidistant":
-            fisheye = gtsam.Cal3Fisheye(camera.fx, camera.fy, 0.0, camera.cx, camera.cy, *camera.distortion)
-            values.insert(K(k), fisheye)
-            graph.push_back(gtsam.PriorFactorCal3Fisheye(K(k), fisheye, _fisheye_prior(camera.fx)))
+            noise = _fisheye_prior(prior.camera.fx)
+            values.insert(K(k), _fisheye(camera))
+            graph.push_back(gtsam.PriorFactorCal3Fisheye(K(k), _fisheye(prior.camera), noise))
             continue
-        bundler = gtsam.Cal3Bundler(camera.fx, camera.distortion[0], camera.distortion[1], camera.cx, camera.cy)
-        values.insert(K(k), bundler)
-        # Few images do not determine the intrinsics: the prior keeps them finite.
-        sigmas = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.5 * camera.fx, 1.0, 1.0]))
-        graph.push_back(gtsam.PriorFactorCal3Bundler(K(k), bundler, sigmas))
+        is_free = np.arange(PARAMETERS) < prior.estimated
+        noise = gtsam.noiseModel.Diagonal.Sigmas(prior.sigmas * np.where(is_free, 1.0, HELD_SIGMA))
+        values.insert(K(k), _bundler(prior.held(camera)))
+        graph.push_back(gtsam.PriorFactorCal3Bundler(K(k), _bundler(prior.camera), noise))
     return calibrations
 
 
@@ -245,7 +336,7 @@ def _add_normalized(
     for k in np.unique(camera).tolist():
         rows = index[camera == k]
         xy, derivative = normalized(state.cameras[k], scene.pixels[rows])
-        per_px = derivative * (PIXEL_SIGMA * scene.sigmas[rows])[:, None, None]
+        per_px = derivative * (config.noise_px * scene.sigmas[rows])[:, None, None]
         covariance = per_px @ np.swapaxes(per_px, 1, 2)
         images, tracks = scene.tracks.image[rows].tolist(), scene.tracks.track[rows].tolist()
         for measured, cov, i, t in zip(xy, covariance, images, tracks, strict=True):

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.sfm.adjustment import BundleAdjustmentConfig, adjust
+from dronevio.estimator.sfm.adjustment import BundleAdjustmentConfig, adjust, intrinsics_covariances
 from dronevio.estimator.sfm.config import MapperConfig
+from dronevio.estimator.sfm.intrinsics import PARAMETERS, self_calibration, without_undetermined
 from dronevio.estimator.sfm.model import Scene, SfmState, initial_state
 from dronevio.estimator.sfm.resection import resect
 from dronevio.estimator.sfm.structure import complete, remove_outliers, repair, triangulate
@@ -21,6 +22,7 @@ from dronevio.models.arrays import Array, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.progress import Progress, silent
+from dronevio.models.reconstruction import SelfCalibration
 
 Indices = npt.NDArray[np.int64]
 
@@ -42,8 +44,8 @@ INTERMEDIATE_CAUCHY_PX = 1.0
 """Scale of the Cauchy loss of the adjustments before the last [px]."""
 INTERMEDIATE_ADJUSTMENT = BundleAdjustmentConfig(15, 1e-4, INTERMEDIATE_CAUCHY_PX)
 """Adjustments while the reconstruction grows."""
-SUBSET_ITERATIONS, SUBSET_TOLERANCE = 100, 1e-5
-"""Largest number of iterations and relative decrease of the error of the last adjustment of a subset."""
+SETTLED = BundleAdjustmentConfig(100, 1e-5, INTERMEDIATE_CAUCHY_PX)
+"""The last adjustment of a subset."""
 MIN_SUPPORT = 0.6
 """Smallest ratio of the inliers of a registered image to the points that it observes; an image below it is
 registered anew."""
@@ -101,14 +103,51 @@ def finish(scene: Scene, state: SfmState, config: MapperConfig) -> SfmState:
     A subset of the observations is adjusted first until it has converged. The angle between parts that few images
     connect converges slowly, which is cheaper with fewer observations.
     """
-    settled = BundleAdjustmentConfig(SUBSET_ITERATIONS, SUBSET_TOLERANCE, INTERMEDIATE_CAUCHY_PX)
-    state = _Mapper(scene, config, silent).adjust_all(state, settled)
+    state = _Mapper(scene, config, silent).adjust_all(state, SETTLED)
     state = remove_outliers(scene, complete(scene, state, config.triangulation), config.triangulation)
     tolerance = CALIBRATED_TOLERANCE if scene.is_calibrated.all() else UNCALIBRATED_TOLERANCE
     adjustment = BundleAdjustmentConfig(
         config.max_iterations, tolerance, config.final_cauchy_sigmas * state.noise_px(scene)
     )
     return remove_outliers(scene, adjust(scene, state, state.used(scene), adjustment), config.triangulation)
+
+
+def hold_undetermined(scene: Scene, state: SfmState, config: MapperConfig) -> tuple[Scene, SfmState]:
+    """Estimate all intrinsics that the images determine, hold the others, and adjust a subset of observations.
+
+    Returns:
+        The scene, whose priors state which parameters are estimated, and the adjusted state.
+    """
+    scene = replace(scene, priors=tuple(replace(prior, estimated=PARAMETERS) for prior in scene.priors))
+    for _ in range(PARAMETERS + 1):
+        state = _Mapper(scene, config, silent).adjust_all(state, SETTLED)
+        priors, cameras = list(scene.priors), list(state.cameras)
+        for k, covariance in _covariances(scene, state).items():
+            if priors[k].is_pinhole:
+                priors[k] = without_undetermined(priors[k], cameras[k], covariance)
+                cameras[k] = priors[k].held(cameras[k])
+        if tuple(priors) == scene.priors:
+            break
+        scene, state = replace(scene, priors=tuple(priors)), replace(state, cameras=tuple(cameras))
+    return scene, state
+
+
+def self_calibrations(scene: Scene, state: SfmState) -> tuple[SelfCalibration | None, ...]:
+    """Return which parameters of each camera (K,) are estimated, None for cameras with a calibration."""
+    covariances = _covariances(scene, state)
+    return tuple(
+        None if is_calibrated else self_calibration(prior, covariances.get(k))
+        for k, (prior, is_calibrated) in enumerate(zip(scene.priors, scene.is_calibrated, strict=True))
+    )
+
+
+def _covariances(scene: Scene, state: SfmState) -> dict[int, Array]:
+    """Return the covariances of the intrinsics that are estimated, by the noise of the observations."""
+    if scene.is_calibrated.all():
+        return {}
+    noise_px = state.noise_px(scene)
+    config = BundleAdjustmentConfig(cauchy_px=noise_px, noise_px=noise_px)
+    return intrinsics_covariances(scene, state, state.used(scene), config)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.sfm.intrinsics import IntrinsicsPrior
 from dronevio.estimator.sfm.tracks import Tracks
 from dronevio.models.arrays import Array, Mask
 from dronevio.models.camera import CameraModel
@@ -84,6 +85,8 @@ class Scene:
     """(I,) Index of the camera of each image."""
     is_calibrated: Mask
     """(K,) Whether the model of each camera is known and stays fixed."""
+    priors: tuple[IntrinsicsPrior, ...] = ()
+    """(K,) What is known beforehand of cameras that are not calibrated; empty if all are."""
     fixed_images: Mask | None = None
     """(I,) Images whose poses are known and stay fixed; None if there are none."""
 

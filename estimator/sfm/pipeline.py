@@ -15,11 +15,12 @@ import numpy.typing as npt
 
 from dronevio.estimator.array_store import digest
 from dronevio.estimator.sfm.completion import add_observations, merge_tracks
-from dronevio.estimator.sfm.config import SfmConfig
+from dronevio.estimator.sfm.config import SfmConfig, VerificationConfig
 from dronevio.estimator.sfm.earlier import earlier_cameras, earlier_images, earlier_pairs, shared_points
 from dronevio.estimator.sfm.features import NO_FEATURES, Features, detect_features
-from dronevio.estimator.sfm.focal import guess_fisheyes
-from dronevio.estimator.sfm.mapper import finish, map_scene
+from dronevio.estimator.sfm.focal import guess_fisheyes, guess_pinholes
+from dronevio.estimator.sfm.intrinsics import FOCAL_SIGMAS, IntrinsicsPrior
+from dronevio.estimator.sfm.mapper import finish, hold_undetermined, map_scene, self_calibrations
 from dronevio.estimator.sfm.matching import match_features
 from dronevio.estimator.sfm.model import KnownPoses, Scene, SfmState, initial_state
 from dronevio.estimator.sfm.pairs import select_pairs
@@ -32,7 +33,7 @@ from dronevio.estimator.threads import map_with_progress, single_threaded
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.progress import Progress, Stages, silent_stages
-from dronevio.models.reconstruction import Reconstruction
+from dronevio.models.reconstruction import Reconstruction, SelfCalibration
 
 Indices = npt.NDArray[np.int64]
 
@@ -51,6 +52,8 @@ class SfmResult:
     """Elapsed time of each stage [s]."""
     worlds: tuple[WorldFrame, ...]
     """How the world frame of each reconstruction is determined."""
+    calibrations: tuple[tuple[SelfCalibration | None, ...], ...] = ()
+    """Which parameters of each camera of each reconstruction were estimated; None for cameras with a calibration."""
     unreadable: Mapping[int, InputError] = field(default_factory=dict)
     """Why an image, or its mask, cannot be read, by the index of the image."""
 
@@ -112,6 +115,8 @@ def reconstruct(
             images = replace(images, cameras=cameras)
         # Matching and geometric verification
         pairs = _match(images, features, keys, chosen, config, workspace, pool, stages("matching"))
+        if earlier is None:
+            images, pairs = _with_focal_lengths(images, features, pairs, config.verification)
         clock.lap("matching")
     # Tracks, and where poses are known the state to begin with
     scene = _scene(images, features, [*(known or []), *pairs])
@@ -125,7 +130,9 @@ def reconstruct(
         start = initial_state(scene, images.cameras, poses.Ts_world_cam)
     # Incremental mapping, one state per connected part of the scene
     states = map_scene(scene, images.cameras, pairs, config.mapper, stages("mapping"), start, is_final=False)
-    completed = [_completed(scene, state, features, config) for state in states]
+    completed: list[tuple[Scene, SfmState]] = []
+    for state in states:
+        completed.append(_completed(*_with_known_cameras(scene, state, completed), features, config))
     # World frame: scale, gravity and origin
     origin = None if earlier_world is None else earlier_world.origin
     placed = [(own, *place(own, state, images, config, poses, origin)) for own, state in completed]
@@ -139,6 +146,7 @@ def reconstruct(
         np.array([len(f) for f in features], np.int64),
         clock.times_s,
         tuple(world for *_, world in placed),
+        _calibrations(completed),
         unreadable,
     )
 
@@ -236,12 +244,62 @@ def _match(
     return [pair for pairs in map_with_progress(pool, match, groups, progress) for pair in pairs]
 
 
+def _with_focal_lengths(
+    images: ImageSet, features: list[Features], pairs: list[TwoView], config: VerificationConfig
+) -> tuple[ImageSet, list[TwoView]]:
+    """Return the images with first focal lengths of pinholes that have none, and the pairs with their motion."""
+    cameras = guess_pinholes(images, features, pairs, config)
+    changed = np.array([new is not old for new, old in zip(cameras, images.cameras, strict=True)])[images.image_camera]
+    if not changed.any():
+        return images, pairs
+    views = [
+        view_of(f.pixels, cameras[k], bool(images.is_calibrated[k]))
+        for f, k in zip(features, images.image_camera.tolist(), strict=True)
+    ]
+    verified = [
+        verify(pair.first, pair.second, (views[pair.first], views[pair.second]), pair.matches, config)
+        if changed[pair.first] or changed[pair.second]
+        else pair
+        for pair in pairs
+    ]
+    return replace(images, cameras=cameras), [pair for pair in verified if pair is not None]
+
+
 def _scene(images: ImageSet, features: list[Features], pairs: Sequence[MatchedPair]) -> Scene:
     counts = np.array([len(f) for f in features], np.int64)
     tracks = connect_tracks(pairs, counts)
     pixels, sigmas = np.concatenate([f.pixels for f in features]), np.concatenate([f.sigmas for f in features])
     rows = (np.cumsum(counts) - counts)[tracks.image] + tracks.feature
-    return Scene(tracks, pixels[rows], sigmas[rows], images.image_camera, images.is_calibrated)
+    return Scene(tracks, pixels[rows], sigmas[rows], images.image_camera, images.is_calibrated, priors_of(images))
+
+
+def priors_of(images: ImageSet) -> tuple[IntrinsicsPrior, ...]:
+    """Return what is known of each camera (K,) beforehand."""
+    sigmas = [FOCAL_SIGMAS[source] for source in images.focal_source] or [FOCAL_SIGMAS["assumed"]] * len(images.cameras)
+    return tuple(IntrinsicsPrior(camera, sigma) for camera, sigma in zip(images.cameras, sigmas, strict=True))
+
+
+def _with_known_cameras(
+    scene: Scene, state: SfmState, larger: Sequence[tuple[Scene, SfmState]]
+) -> tuple[Scene, SfmState]:
+    """Return a component with the cameras that larger ones share with it, held."""
+    cameras, is_calibrated = list(state.cameras), scene.is_calibrated.copy()
+    for known, other in reversed(larger):
+        for k in np.unique(known.image_camera[other.is_registered]).tolist():
+            cameras[k], is_calibrated[k] = other.cameras[k], True
+    return replace(scene, is_calibrated=is_calibrated), replace(state, cameras=tuple(cameras))
+
+
+def _calibrations(completed: Sequence[tuple[Scene, SfmState]]) -> tuple[tuple[SelfCalibration | None, ...], ...]:
+    """Return which parameters of the cameras of each component were estimated, in it or in a larger one."""
+    known: dict[int, SelfCalibration | None] = {}
+    result = []
+    for scene, state in completed:
+        used = np.unique(scene.image_camera[state.is_registered]).tolist()
+        own = self_calibrations(scene, state)
+        known |= {k: own[k] for k in used if k not in known}
+        result.append(tuple(known[k] for k in used))
+    return tuple(result)
 
 
 def _completed(scene: Scene, state: SfmState, features: list[Features], config: SfmConfig) -> tuple[Scene, SfmState]:
@@ -250,6 +308,7 @@ def _completed(scene: Scene, state: SfmState, features: list[Features], config: 
         scene, state = merge_tracks(scene, state, features, config.completion)
     if config.completion.guided:
         scene, state = add_observations(scene, state, features, config.completion)
+    scene, state = hold_undetermined(scene, state, config.mapper)
     return scene, finish(scene, state, config.mapper)
 
 

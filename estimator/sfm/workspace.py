@@ -44,10 +44,10 @@ class Workspace:
         arrays = self._store.load(f"pairs-{first:06d}.npz", key)
         if arrays is None:
             return None
-        ends = np.cumsum(arrays["counts"])[:-1]
+        matches = np.split(arrays["matches"], np.cumsum(arrays["counts"]))[:-1]  # none of no pair
         rows = zip(
             arrays["second"].tolist(),
-            np.split(arrays["matches"], ends)[: len(arrays["second"])],  # the split of nothing has one part
+            matches,
             arrays["geometry"].tolist(),
             arrays["Ts_first_second"],
             arrays["angle_rad"].tolist(),

@@ -14,6 +14,7 @@ from dronevio.models.image_sets.video import VIDEO_SUFFIXES, image_video
 from dronevio.models.lenses.lens import LensName
 from dronevio.models.recordings.calibration.reading import read_cameras
 from dronevio.models.recordings.open import is_bag, is_recording_folder
+from dronevio.models.rig import Cameras
 
 
 def open_images(
@@ -23,7 +24,7 @@ def open_images(
     model: CameraModel | None = None,
     masks: Path | str | None = None,
     every: int | None = None,
-    cameras: Sequence[int] | None = None,
+    cameras: Cameras = None,
     frames: int | Sequence[int] | None = None,
     lens: LensName | None = None,
 ) -> ImageSet:
@@ -36,8 +37,7 @@ def open_images(
         model: For folders and videos: calibration of the one camera; None for initial values.
         masks: A folder of masks or one mask for all images; see `dronevio.models.image_sets.masks`.
         every: For videos: distance between the frames to use, by default 1.
-        cameras: For recordings: indices of the cameras to use, by default the first. For folders of a rig: the same, by
-            default all.
+        cameras: For recordings: cameras to use, by default the first. For folders of a rig: the same, by default all.
         frames: For recordings: number of frames, spread evenly, or their indices; by default all.
         lens: For folders and videos without a calibration: ``radtan``, a pinhole and the default, or ``equidistant``, a
             fisheye.

@@ -13,6 +13,7 @@ from dronevio.models.image_sets.masks import find_masks
 from dronevio.models.imu import Times
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording
+from dronevio.models.rig import MAX_CAMERAS, Cameras, camera_indices
 from dronevio.models.state import CameraFrame
 
 
@@ -49,7 +50,7 @@ class RecordedImages:
 def image_recording(
     recording: Recording | Path | str,
     *,
-    cameras: Sequence[int] = (0,),
+    cameras: Cameras = (0,),
     frames: int | Sequence[int] | None = None,
     masks: Path | str | None = None,
 ) -> ImageSet:
@@ -60,7 +61,7 @@ def image_recording(
 
     Args:
         recording: A recording, or the path of one that `open_recording` opens.
-        cameras: Indices of the cameras to use.
+        cameras: Cameras to use.
         frames: Number of frames, spread evenly from the first to the last, or the indices of the frames; None for all.
         masks: A folder of masks or one mask for all images; see `dronevio.models.image_sets.masks`.
 
@@ -68,10 +69,13 @@ def image_recording(
         InputError: The recording is damaged or not supported, or there are no masks.
         ConfigError: A camera or a frame does not exist, or is given twice.
     """
-    chosen_cameras = tuple(cameras)
     if isinstance(recording, Path | str):
-        recording = open_recording(recording, max((0, *chosen_cameras)) + 1)
-    _check_indices("camera", chosen_cameras, len(recording.rig.cameras))
+        recording = open_recording(recording, cameras)
+        chosen_cameras = tuple(range(len(recording.rig.cameras)))
+        is_count = cameras is None or isinstance(cameras, int)
+        numbers = chosen_cameras if is_count else camera_indices(cameras, MAX_CAMERAS)
+    else:
+        numbers = chosen_cameras = camera_indices(cameras, len(recording.rig.cameras))
     chosen_frames = _frame_indices(frames, len(recording.frame_times_ns))
     rig_cameras = [recording.rig.cameras[i] for i in chosen_cameras]
     delays_ns = _delays_ns(recording, chosen_frames, chosen_cameras)
@@ -82,7 +86,7 @@ def image_recording(
     stamps_ns = np.repeat(recording.frame_times_ns[chosen_frames], len(chosen_cameras))
     calibration: FocalSource = "calibration"
     models = tuple(camera.model for camera in rig_cameras)
-    names = tuple(f"cam{chosen_cameras[k]}/{t}" for k, t in zip(image_camera.tolist(), stamps_ns.tolist(), strict=True))
+    names = tuple(f"cam{numbers[k]}/{t}" for k, t in zip(image_camera.tolist(), stamps_ns.tolist(), strict=True))
     return ImageSet(
         names=names,
         image_camera=image_camera,
@@ -117,12 +121,7 @@ def _frame_indices(frames: int | Sequence[int] | None, count: int) -> Indices:
         if not 1 <= frames <= count:
             raise ConfigError(f"{frames} frames of a recording with {count}; expected 1 to {count}")
         return np.round(np.linspace(0, count - 1, frames)).astype(np.int64)
-    _check_indices("frame", frames, count)
+    if not len(frames) or len(set(frames)) < len(frames) or min(frames) < 0 or max(frames) >= count:
+        listed = ", ".join(map(str, frames)) or "none"
+        raise ConfigError(f"frame indices {listed} of a recording; expected different ones from 0 to {count - 1}")
     return np.array(sorted(frames), dtype=np.int64)
-
-
-def _check_indices(name: str, indices: Sequence[int], count: int) -> None:
-    """Raise ConfigError unless the indices are unique and below a count."""
-    if not len(indices) or len(set(indices)) < len(indices) or min(indices) < 0 or max(indices) >= count:
-        listed = ", ".join(map(str, indices)) or "none"
-        raise ConfigError(f"{name} indices {listed} of a recording; expected different ones from 0 to {count - 1}")

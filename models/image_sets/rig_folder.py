@@ -10,13 +10,13 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.errors import InputError
 from dronevio.models.image_sets.control_points import find_control_points
 from dronevio.models.image_sets.folder import PhotoFiles, natural_key, photo_bits, usable_photos
 from dronevio.models.image_sets.geotags import GeoTag, geotags_of
 from dronevio.models.image_sets.image_set import FocalSource, ImageSet
 from dronevio.models.image_sets.masks import find_masks
-from dronevio.models.rig import RigCamera
+from dronevio.models.rig import Cameras, RigCamera, camera_indices
 
 RIG_FILE = "rig.yaml"
 """Name of the calibration in a folder, a camchain.yaml of Kalibr; that of an IMU is not needed."""
@@ -52,7 +52,7 @@ def image_rig_folder(
     path: Path | str,
     rig: Sequence[RigCamera],
     *,
-    cameras: Sequence[int] | None = None,
+    cameras: Cameras = None,
     masks: Path | str | None = None,
 ) -> ImageSet:
     """Return the images of a rig in the folders ``cam0``, ``cam1`` and so on, in natural order of their names.
@@ -60,7 +60,7 @@ def image_rig_folder(
     Args:
         path: The folder.
         rig: The calibrated cameras.
-        cameras: Indices of the cameras to use; None for all of the calibration.
+        cameras: Cameras to use.
         masks: A folder of masks or one mask for all images; see `dronevio.models.image_sets.masks`.
 
     Raises:
@@ -68,10 +68,7 @@ def image_rig_folder(
         ConfigError: A camera is not in the calibration, or is given twice.
     """
     folder, mask_path = Path(path), Path(masks) if masks is not None else None
-    chosen = tuple(range(len(rig)) if cameras is None else cameras)
-    if len(set(chosen)) < len(chosen) or not set(chosen) <= set(range(len(rig))) or not chosen:
-        listed = ", ".join(map(str, chosen)) or "none"
-        raise ConfigError(f"cameras {listed} of {folder}; expected different ones from 0 to {len(rig) - 1}")
+    chosen = camera_indices(cameras, len(rig))
     # The images of all cameras, those of one moment beside each other
     found: list[_Photo] = []
     skipped: dict[str, InputError] = {}

@@ -28,8 +28,8 @@ class ImageSource:
     """Further folder of images, video or recording, None if there is none."""
     masks: Path | None = None
     """Folder of masks or one mask for all images, None if there are none."""
-    cameras: tuple[int, ...] | None = None
-    """Indices of the cameras of a recording, None for the first."""
+    cameras: tuple[int | str, ...] | None = None
+    """Cameras of a recording by index or name, None for the first."""
 
     def open(self) -> ImageSet:
         """Return all images at these places, of which a result may use some.
@@ -68,7 +68,7 @@ def read_image_source(path: Path) -> ImageSource:
         values = json.loads(text)
         cameras = values["cameras"]
         earlier, masks = (None if values[name] is None else Path(values[name]) for name in ("earlier_path", "masks"))
-        chosen = None if cameras is None else tuple(int(camera) for camera in cameras)
+        chosen = None if cameras is None else tuple(each if isinstance(each, int) else str(each) for each in cameras)
         return ImageSource(Path(values["path"]), earlier, masks, chosen)
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(path, f"other contents ({error!r})", _EXPECTED) from None

@@ -17,6 +17,7 @@ from dronevio.models.reconstructions.colmap_model import (
     colmap_from_reconstruction,
     reconstruction_from_colmap,
 )
+from dronevio.models.reconstructions.colmap_rigs import RigFrames, write_rig_files
 from dronevio.models.reconstructions.parsing import check_image_name
 
 _FILES = ("cameras", "images", "points3D")
@@ -59,24 +60,34 @@ def read_colmap(folder: Path) -> Reconstruction:
     return reconstruction_from_colmap(paths, cameras, images, points)
 
 
-def write_colmap(folder: Path, reconstruction: Reconstruction, binary: bool = True) -> None:
+def write_colmap(
+    folder: Path, reconstruction: Reconstruction, binary: bool = True, rig: RigFrames | None = None
+) -> None:
     """Write a sparse model of COLMAP. Each file is replaced atomically; numbers count from 1.
 
     The camera model is ``PINHOLE``, ``OPENCV`` or ``OPENCV_FISHEYE``; the error of a point is its mean reprojection
-    error, −1 if it has none. No files of rigs and frames are written: COLMAP then uses one rig for each camera.
+    error, −1 if it has none. Without a rig, no files of rigs and frames are written: COLMAP then uses one rig for each
+    camera.
 
     Args:
         folder: The folder to write to; missing folders are created.
         reconstruction: The reconstruction to write.
         binary: Whether to write binary files instead of text.
+        rig: Images of one moment and the mounting of the cameras; None without a rig.
 
     Raises:
         InputError: The folder cannot be written to or contains files of another model, which COLMAP would mix with
             these, or the name of an image is not a path below a folder.
-        ConfigError: The name of an image contains a space, where COLMAP would end it in a text file.
+        ConfigError: The name of an image contains a space, where COLMAP would end it in a text file, or the rig
+            contradicts the reconstruction.
     """
     folder = Path(folder)
-    for path in (*_paths(folder, not binary), *(folder / f"{n}{s}" for n in _RIG_FILES for s in (".bin", ".txt"))):
+    if rig is not None:
+        rig.check(reconstruction)
+    ours = () if rig is None else _rig_paths(folder, binary)
+    for path in (*_paths(folder, not binary), *_rig_paths(folder, False), *_rig_paths(folder, True)):
+        if path in ours:
+            continue
         if path.exists():
             raise InputError(path, "a file of another model, which COLMAP would mix with this one", "a new folder")
     cameras_path, images_path, points_path = _paths(folder, binary)
@@ -93,6 +104,8 @@ def write_colmap(folder: Path, reconstruction: Reconstruction, binary: bool = Tr
         text_files.write_cameras_text(cameras_path, cameras)
         text_files.write_images_text(images_path, images)
         text_files.write_points_text(points_path, points)
+    if rig is not None and len(reconstruction.image_names):
+        write_rig_files(*_rig_paths(folder, binary), reconstruction, rig, binary)
 
 
 def _paths(folder: Path, binary: bool) -> tuple[Path, Path, Path]:
@@ -100,3 +113,10 @@ def _paths(folder: Path, binary: bool) -> tuple[Path, Path, Path]:
     suffix = ".bin" if binary else ".txt"
     cameras, images, points = (folder / f"{name}{suffix}" for name in _FILES)
     return cameras, images, points
+
+
+def _rig_paths(folder: Path, binary: bool) -> tuple[Path, Path]:
+    """Return the files of rigs and frames."""
+    suffix = ".bin" if binary else ".txt"
+    rigs, frames = (folder / f"{name}{suffix}" for name in _RIG_FILES)
+    return rigs, frames

@@ -11,11 +11,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
 from dronevio.models.protocols import Recording
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.reconstructions.colmap import write_colmap
+from dronevio.models.reconstructions.colmap_rigs import RigFrames
 from dronevio.models.recordings.files import read_bytes, write_bytes
 from dronevio.models.recordings.images import encode_png
 
@@ -33,6 +35,8 @@ class RecordedReconstruction:
     """The reconstruction; `Reconstruction.image_camera` are the indices of the cameras in the rig of the recording."""
     stamps_ns: Times
     """(C,) Time stamp of the frame of each image [ns]; images of one frame follow each other."""
+    Ts_imu_cam: Array | None = None
+    """(K, 4, 4) Poses of the cameras in the IMU frame, with which the images of a frame agree; None if unknown."""
 
 
 def image_name(camera: int, stamp_ns: int) -> str:
@@ -56,6 +60,34 @@ def with_images(recorded: RecordedReconstruction, recording: Recording, folder: 
         ConfigError: The recording has no frame at a time of an image.
         InputError: An image cannot be read or written.
     """
+    return _with_images(recorded, recording, folder)[0]
+
+
+def write_colmap_folder(folder: Path, recorded: RecordedReconstruction, recording: Recording) -> None:
+    """Write a folder from which programs that read models of COLMAP start: ``images``, and the model in ``sparse/0``.
+
+    The images of one time are a frame of a rig, if the mounting of several cameras is known.
+
+    Args:
+        folder: The folder to write to, empty or new.
+        recorded: The reconstruction.
+        recording: The recording of its images.
+
+    Raises:
+        InputError: The folder cannot be written to or contains another model, or an image cannot be read.
+        ConfigError: COLMAP does not have the lens of a camera, or the recording has no frame at a time of an image.
+    """
+    reconstruction, is_kept = _with_images(recorded, recording, folder / "images")
+    Ts_imu_cam, rig = recorded.Ts_imu_cam, None
+    if Ts_imu_cam is not None and len(Ts_imu_cam) > 1:
+        rig = RigFrames(recorded.stamps_ns[is_kept], Ts_imu_cam)
+    write_colmap(folder / "sparse" / "0", reconstruction, rig=rig)
+
+
+def _with_images(
+    recorded: RecordedReconstruction, recording: Recording, folder: Path | None
+) -> tuple[Reconstruction, Flags]:
+    """Return the result of `with_images`, and which images (C,) it has."""
     r = recorded.reconstruction
     by_image = np.argsort(r.observation_image, kind="stable")
     bounds = np.searchsorted(r.observation_image[by_image], np.arange(len(r.image_names) + 1))
@@ -74,22 +106,7 @@ def with_images(recorded: RecordedReconstruction, recording: Recording, folder: 
     sums = np.bincount(r.observation_point, gray, len(r.points))
     mean = np.rint(sums / np.maximum(r.track_lengths(), 1)).astype(np.uint8)
     coloured = replace(r, image_names=tuple(names), colours=np.repeat(mean[:, None], 3, axis=1))
-    return coloured if is_there.all() else _with_some_images(coloured, is_there)
-
-
-def write_colmap_folder(folder: Path, recorded: RecordedReconstruction, recording: Recording) -> None:
-    """Write a folder from which programs that read models of COLMAP start: ``images``, and the model in ``sparse/0``.
-
-    Args:
-        folder: The folder to write to, empty or new.
-        recorded: The reconstruction.
-        recording: The recording of its images.
-
-    Raises:
-        InputError: The folder cannot be written to or contains another model, or an image cannot be read.
-        ConfigError: COLMAP does not have the lens of a camera, or the recording has no frame at a time of an image.
-    """
-    write_colmap(folder / "sparse" / "0", with_images(recorded, recording, folder / "images"))
+    return (coloured if is_there.all() else _with_some_images(coloured, is_there)), is_there
 
 
 def _images(recorded: RecordedReconstruction, recording: Recording) -> Iterator[tuple[int, int, npt.NDArray[np.uint8]]]:

@@ -7,6 +7,7 @@ photometrically calibrated benchmark for monocular visual odometry", arXiv 1607.
 """
 
 from collections.abc import Sequence
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ from dronevio.models.recordings.timed_table import (
     quoted,
     read_timed_table,
 )
-from dronevio.models.rig import check_camera_count
+from dronevio.models.rig import Cameras, camera_indices
 from dronevio.models.state import Trajectory
 
 IMU_FILE, TIMES_FILE, TRUTH_FILE = "imu.txt", "times.txt", "gt_imu.csv"
@@ -44,31 +45,29 @@ def is_dso_folder(path: Path) -> bool:
 
 
 def read_dso_contents(
-    folder: Path, cameras: int | None = None, calibration: Sequence[Path] = (), imu: ImuModel | None = None
+    folder: Path, cameras: Cameras = None, calibration: Sequence[Path] = (), imu: ImuModel | None = None
 ) -> FolderContents:
     """Return the contents of a folder.
 
     Args:
         folder: The folder.
-        cameras: Number of cameras to use; None for all.
+        cameras: Cameras to use.
         calibration: Calibration files of Kalibr or Basalt; by default, ``camchain.yaml`` and ``imu_config.yaml`` in the
             folder.
         imu: Model of the IMU in place of that of the calibration.
 
     Raises:
         InputError: A file is missing or damaged.
-        ConfigError: The number of cameras is less than 1.
+        ConfigError: A camera does not exist.
     """
-    check_camera_count(cameras)
-    count = 0
-    while (folder / f"cam{count}" / TIMES_FILE).is_file() and count != cameras:
-        count += 1
-    lists = tuple(_read_times(folder / f"cam{number}") for number in range(count))
+    present = next(number for number in count() if not (folder / f"cam{number}" / TIMES_FILE).is_file())
+    used = camera_indices(cameras, present)
+    lists = tuple(_read_times(folder / f"cam{number}") for number in used)
     table = read_timed_table(folder / IMU_FILE, IMU_TABLE, checked=False)
     files = tuple(calibration) or tuple(folder / name for name in _CALIBRATION if (folder / name).is_file())
     if not files:
         raise InputError(folder, "no calibration", "one of Kalibr or Basalt (--calibration camchain.yaml imu.yaml)")
-    rig, sampling = calibrated_rig(folder, files, lists, table.t_ns, imu)
+    rig, sampling = calibrated_rig(folder, files, used, lists[0].t_ns, table.t_ns, imu)
     truth = read_dso_truth(folder) if (folder / TRUTH_FILE).exists() else None
     return FolderContents(folder.resolve().name, folder, lists, table, IMU_TABLE, rig, sampling, truth)
 

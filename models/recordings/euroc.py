@@ -43,7 +43,7 @@ from dronevio.models.recordings.timed_table import (
     read_timed_table,
 )
 from dronevio.models.recordings.tum import read_tum
-from dronevio.models.rig import Rig, check_camera_count
+from dronevio.models.rig import Cameras, Rig, camera_indices
 from dronevio.models.state import CameraFrame, Trajectory
 
 IMU_TABLE = TableFormat("an EuRoC IMU table", (7,), ",", parse_integer_ns, "whole nanoseconds")
@@ -109,7 +109,7 @@ class EurocRecording:
     def open(
         cls,
         folder: Path | str,
-        cameras: int | None = None,
+        cameras: Cameras = None,
         repair: bool = False,
         calibration: Sequence[Path] = (),
         imu: ImuModel | None = None,
@@ -118,7 +118,7 @@ class EurocRecording:
 
         Args:
             folder: The folder ``mav0`` or its parent.
-            cameras: Number of cameras to use; None for all.
+            cameras: Cameras to use.
             repair: Whether to go on with images that are missing or damaged, time stamps that do not increase and IMU
                 samples that are not finite, and to list them in `defects`. Otherwise, they raise an error, and frames
                 that not every camera has are left out.
@@ -129,9 +129,8 @@ class EurocRecording:
         Raises:
             InputError: A file is missing, damaged or not supported; or, with `repair`, IMU and cameras do not overlap
                 in time.
-            ConfigError: The number of cameras is less than 1.
+            ConfigError: A camera does not exist.
         """
-        check_camera_count(cameras)
         return cls.of(read_euroc_contents(find_mav0(folder), cameras, calibration, imu), repair)
 
     @classmethod
@@ -186,20 +185,22 @@ class EurocRecording:
 
 
 def read_euroc_contents(
-    mav0: Path, cameras: int | None = None, calibration: Sequence[Path] = (), imu: ImuModel | None = None
+    mav0: Path, cameras: Cameras = None, calibration: Sequence[Path] = (), imu: ImuModel | None = None
 ) -> FolderContents:
     """Return the contents of a folder ``mav0``; see `EurocRecording.open`.
 
     Raises:
         InputError: A file is missing, damaged or not supported.
+        ConfigError: A camera does not exist.
     """
-    used = count_cameras(mav0) if cameras is None else min(cameras, count_cameras(mav0))
-    lists = tuple(ImageList.read(mav0 / f"cam{i}") for i in range(used))
+    used = camera_indices(cameras, count_cameras(mav0))
+    lists = tuple(ImageList.read(mav0 / f"cam{i}") for i in used)
     has_imu = (mav0 / "imu0").exists()
     table = _imu_table(mav0)
     files, frame_truth = tuple(calibration) or _tum_vi_calibration(mav0), mav0 / FRAME_TRUTH_FILE
     if files:
-        rig, sampling = calibrated_rig(mav0, files, lists, table.t_ns, imu or (None if has_imu else UNKNOWN_IMU))
+        imu = imu or (None if has_imu else UNKNOWN_IMU)
+        rig, sampling = calibrated_rig(mav0, files, used, lists[0].t_ns, table.t_ns, imu)
     else:
         rig, sampling = read_euroc_rig(mav0, used), read_euroc_sampling(mav0)
         rig = rig if imu is None else replace(rig, imu=replace(imu, rate_hz=rig.imu.rate_hz))
@@ -323,7 +324,7 @@ def read_euroc_segment_times(folder: Path | str) -> tuple[Times, ...]:
     split = split_at_steps([listed.t_ns])
     if len(split.steps):  # what the camera has in common with the IMU
         table = _imu_table(mav0)
-        offset_ns = round(read_euroc_rig(mav0, 1).time_offset_s * 1e9)
+        offset_ns = round(read_euroc_rig(mav0).time_offset_s * 1e9)
         split = split_at_steps([listed.t_ns, table.t_ns], [offset_ns, 0])
     listed = replace(listed, t_ns=split.stamps[0])
     segments = [listed.selected(np.arange(len(listed.t_ns))[rows]).ordered()[0] for rows in split.rows(0)]

@@ -44,24 +44,25 @@ class FolderContents:
 
 
 def calibrated_rig(
-    folder: Path, files: Sequence[Path], lists: Sequence[ImageList], imu_t_ns: Times, imu: ImuModel | None
+    folder: Path, files: Sequence[Path], cameras: Sequence[int], t_ns: Times, imu_t_ns: Times, imu: ImuModel | None
 ) -> tuple[Rig, Sampling]:
-    """Return the rig of calibration files for the cameras of a folder, and the sampling of the IMU.
+    """Return the rig of calibration files for cameras of a folder, and the sampling of the IMU.
 
     Args:
         folder: The folder, for error messages.
         files: Calibration files of Kalibr or Basalt, one or more.
-        lists: Images of each camera that is used.
+        cameras: Indices of the cameras that are used, in the order of the calibration.
+        t_ns: (M,) Time stamps of the images of the first of them [ns].
         imu_t_ns: (N,) Time stamps of the IMU [ns].
         imu: Model of the IMU in place of that of the files, None for that.
 
     Raises:
         InputError: A file is damaged, or a camera or the noise of the IMU is missing.
     """
-    calibration = read_calibration(files, rate_hz(lists[0].t_ns, 20.0))
-    if len(calibration.cameras) < len(lists):
-        found = f"{len(calibration.cameras)} cameras, of which {folder} has {len(lists)}"
-        raise InputError(files[0], found, "as many cameras, or fewer to use (--cameras)")
+    calibration = read_calibration(files, rate_hz(t_ns, 20.0))
+    if len(calibration.cameras) <= max(cameras):
+        found = f"{len(calibration.cameras)} cameras, without cam{max(cameras)} of {folder}"
+        raise InputError(files[0], found, "the calibration of all cameras, or others to use (--cameras)")
     if imu is not None:
         calibration = replace(calibration, imu=replace(imu, rate_hz=rate_hz(imu_t_ns, imu.rate_hz)))
     if calibration.imu is None:
@@ -69,8 +70,7 @@ def calibrated_rig(
             "Kalibr's imu.yaml as well (--calibration camchain.yaml imu.yaml), or the name of an IMU (--imu BMI088)"
         )
         raise InputError(files[0], "no noise densities of the IMU", expected)
-    rig = calibration.rig()
-    return replace(rig, cameras=rig.cameras[: len(lists)]), calibration.sampling
+    return calibration.rig().with_cameras(cameras), calibration.sampling
 
 
 def rate_hz(t_ns: Times, default_hz: float) -> float:

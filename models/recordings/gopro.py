@@ -29,7 +29,7 @@ from dronevio.models.recordings.gpmf import SENSORS, SensorPayload, axes_matrix,
 from dronevio.models.recordings.repair import imu_defects
 from dronevio.models.recordings.split_imu import interpolated_accel
 from dronevio.models.recordings.video_frames import VideoFrames, read_video_index
-from dronevio.models.rig import Rig, check_camera_count
+from dronevio.models.rig import Cameras, Rig, camera_indices
 from dronevio.models.state import NO_IMAGE, CameraFrame, Trajectory
 
 IMU_AXES = "yxz"
@@ -71,7 +71,7 @@ class VideoRecording:
     def open(
         cls,
         path: Path,
-        cameras: int | None = None,
+        cameras: Cameras = None,
         calibration: Sequence[Path] = (),
         imu: ImuModel | None = None,
         imu_rotation: str | None = None,
@@ -81,7 +81,7 @@ class VideoRecording:
 
         Args:
             path: The video.
-            cameras: Number of cameras to use, 1 or None.
+            cameras: Cameras to use: the only one.
             calibration: Calibration files of the camera and possibly the IMU; the pose of the camera may be missing.
             imu: Model of the IMU in place of that of the calibration. Its rate is replaced by that of the samples.
             imu_rotation: Axes of the IMU (`imu_rotation_named`) that replace the pose of the calibration; None for that
@@ -90,9 +90,9 @@ class VideoRecording:
 
         Raises:
             InputError: The video is damaged or has no telemetry, or the calibration is incomplete.
-            ConfigError: The number of cameras is less than 1, or the name of the rotation is not one.
+            ConfigError: A camera does not exist, or the name of the rotation is not one.
         """
-        check_camera_count(cameras)
+        camera_indices(cameras, 1)
         if not calibration:
             raise InputError(path, "no calibration of the camera", "one of Kalibr or Basalt (--calibration cam.yaml)")
         index = read_video_index(path)

@@ -164,10 +164,20 @@ def decode_deep_grey(path: Path, data: bytes, width: int, height: int, where: st
 
 
 def encode_png(image: Image) -> bytes:
-    """Return a grey image (H, W) as PNG, with fast compression because sensor noise hardly compresses."""
+    """Return a grey image (H, W), or red, green and blue (H, W, 3), as PNG, with fast compression.
+
+    Sensor noise hardly compresses.
+    """
     import cv2
 
+    if image.ndim == 3:
+        image = image[..., ::-1]
     return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])
+
+
+def png_name(name: str) -> str:
+    """Return the name of an image as that of a PNG file."""
+    return name if name.lower().endswith(".png") else f"{name}.png"
 
 
 def _expected(width: int, height: int) -> str:

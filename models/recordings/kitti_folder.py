@@ -27,7 +27,7 @@ from dronevio.models.recordings.image_header import header_of
 from dronevio.models.recordings.image_list import ImageList
 from dronevio.models.recordings.kitti import R_UP_KITTI, read_kitti, read_times_ns
 from dronevio.models.recordings.timed_table import NUMBER, TableFormat, TimedTable, numbered_rows, parse_decimal_seconds
-from dronevio.models.rig import Rig, RigCamera, check_camera_count
+from dronevio.models.rig import Cameras, Rig, RigCamera, camera_indices
 from dronevio.models.rotation import inverse_pose, matrix_from_quat_wxyz, pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
 
@@ -55,7 +55,7 @@ def is_kitti_folder(path: Path) -> bool:
 
 def read_kitti_contents(
     folder: Path,
-    cameras: int | None = None,
+    cameras: Cameras = None,
     calibration: Sequence[Path] = (),
     imu: ImuModel | None = None,
     for_odometry: bool = False,
@@ -64,22 +64,22 @@ def read_kitti_contents(
 
     Args:
         folder: The folder.
-        cameras: Number of cameras to use; None for both.
+        cameras: Cameras to use, of which ``cam0`` is the left one.
         calibration: Files of Kalibr with the noise of the IMU, which KITTI does not specify.
         imu: Model of the IMU. Without any, the noise of the rig is that of EuRoC's IMU.
         for_odometry: Whether an IMU and its noise are required.
 
     Raises:
         InputError: A file is missing or damaged; or, for odometry, there is no IMU or its noise is unknown.
-        ConfigError: The number of cameras is less than 1.
+        ConfigError: A camera does not exist.
     """
-    check_camera_count(cameras)
     is_drive = not (folder / "times.txt").is_file()
     name = "image_{:02d}" if is_drive else "image_{}"
     pair = next((pair for pair in _PAIRS if (folder / name.format(pair[0])).is_dir()), None)
     if pair is None:
         raise InputError(folder, f"no folder {name.format(0)} or {name.format(2)}", "images of KITTI")
-    numbers = [number for number in pair if (folder / name.format(number)).is_dir()][:cameras]
+    present = [number for number in pair if (folder / name.format(number)).is_dir()]
+    numbers = [present[index] for index in camera_indices(cameras, len(present))]
     times_file = folder / name.format(numbers[0]) / "timestamps.txt" if is_drive else folder / "times.txt"
     t_ns = _read_stamps(times_file) if is_drive else read_times_ns(times_file)
     lists = tuple(_images(folder / name.format(number), times_file, t_ns, is_drive) for number in numbers)

@@ -14,7 +14,7 @@ from dronevio.models.recordings.calibration.reading import read_calibrated_rig
 from dronevio.models.recordings.euroc import EurocRecording, find_mav0, read_euroc_segment_times
 from dronevio.models.recordings.segments import most_common
 from dronevio.models.recordings.trajectory_file import read_trajectory_file
-from dronevio.models.rig import Rig
+from dronevio.models.rig import Cameras, Rig
 from dronevio.models.state import Trajectory
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ StoredRecording: TypeAlias = "EurocRecording | BagRecording | VideoRecording"
 
 def open_recording(
     path: Path | str,
-    cameras: int | None = None,
+    cameras: Cameras = None,
     calibration: Sequence[Path] = (),
     topics: BagTopics | None = None,
     repair: bool = False,
@@ -43,7 +43,8 @@ def open_recording(
         path: An EuRoC folder (``mav0`` or its parent), a ``.bag``, ``.mcap`` or ``.db3`` file, a folder written by
             ``ros2 bag``, a folder of DSO with an IMU, a drive or sequence of KITTI, or a video with the telemetry of a
             GoPro camera.
-        cameras: Number of cameras to use, in the order of the calibration; None for all.
+        cameras: Cameras to use, by their index in the calibration or their name: ``cam0``, ``cam1``, ... The first one
+            is the main camera. Also the number of cameras, from the first on; None for all.
         calibration: Calibration files of Kalibr or Basalt that replace or complete the calibration of the recording.
         topics: Topics of a bag to read, if they cannot be found by type.
         repair: Whether to go on with defects such as damaged images, and to list them in ``defects`` of the recording
@@ -56,7 +57,7 @@ def open_recording(
 
     Raises:
         InputError: The path is none of these, damaged or not supported.
-        ConfigError: The number of cameras is less than 1, or topics are given for a recording that is not a bag.
+        ConfigError: A camera does not exist, or topics are given for a recording that is not a bag.
     """
     path = Path(path)
     if path.suffix.lower() in VIDEO_SUFFIXES and not path.is_dir():
@@ -117,7 +118,7 @@ def read_rig(path: Path) -> Rig:
         return open_recording(path).rig
     if path.is_dir() and not (path / CAMCHAIN_FILE).exists():
         mav0 = find_mav0(path)
-        return read_euroc_rig(mav0, count_cameras(mav0))
+        return read_euroc_rig(mav0, range(count_cameras(mav0)))
     return read_calibrated_rig(path)
 
 

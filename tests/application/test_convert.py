@@ -82,7 +82,7 @@ def test_incomplete_recordings_are_reported(tmp_path: Path, flight: Path, run_co
 
 
 def test_cameras_can_be_left_out(tmp_path: Path, flight: Path, run_command: Callable[..., Any]) -> None:
-    run_command(tmp_path, "convert", flight, tmp_path / "a.mcap", "--cameras", 1)
+    run_command(tmp_path, "convert", flight, tmp_path / "a.mcap", "--cameras", 0)
     assert len(open_recording(tmp_path / "a.mcap").rig.cameras) == 1
 
 
@@ -117,7 +117,7 @@ def test_nothing_is_overwritten_without_the_option(
         (["flight", "somewhere"], "expected --to"),
         (["flight", "somewhere", "--to", "mcap"], "ends with .mcap for mcap only"),
         (["flight", "a.mcap", "--to", "bag"], "ends with .mcap for mcap only"),
-        (["flight", "a.mcap", "--cameras", "0"], "--cameras 0; expected a whole number"),
+        (["flight", "a.mcap", "--cameras", "7"], "cameras 7; expected different ones of cam0 to cam1"),
         (["flight", "a.mcap", "--calibration", "x.yaml"], "x.yaml: no such file"),
     ],
 )

@@ -444,7 +444,7 @@ def test_defects_of_the_files_are_rows(flown: Any, tmp_path: Path, capsys: pytes
         "\n".join([head, *map(",".join, in_g[:500]), "1,2,nan,4,5,6,7", *map(",".join, in_g[500:])]) + "\n"
     )
     out = tmp_path / "page.html"
-    assert main(["inspect", str(tmp_path / "altered"), "--out", str(out), "--cameras", "1"]) == 0
+    assert main(["inspect", str(tmp_path / "altered"), "--out", str(out), "--cameras", "0"]) == 0
     printed = capsys.readouterr().out
     assert "Will not work as it is: IMU, gravity" in printed and "non-finite IMU sample" in printed
     assert "Will not work" in out.read_text(encoding="utf-8")

@@ -44,7 +44,7 @@ def photographs() -> Path:
 def reconstructed(photographs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of the result of the command on the photographs."""
     folder = tmp_path_factory.mktemp("sfm") / "villa"
-    formats = ("colmap-binary", "colmap-text", "ply")
+    formats = ("colmap-binary", "colmap-text", "ply", "nerfstudio")
     assert main(["sfm", str(photographs), "--out", str(folder), "--format", *formats, "--json"]) == 0
     return folder
 
@@ -62,16 +62,24 @@ def test_the_villa_agrees_with_bundler(reconstructed: Path) -> None:
 
 
 def test_files_of_a_result(reconstructed: Path) -> None:
-    names = {"colmap-binary", "colmap-text", "images.json", "points-0.ply", "run.rrd"}
+    names = {"colmap-binary", "colmap-text", "images.json", "nerfstudio", "points-0.ply", "run.rrd"}
     names |= {"reconstruction.png", "report.html", "report.json"}
     assert {path.name for path in reconstructed.iterdir()} == names
     assert list(reconstructed.parent.iterdir()) == [reconstructed]  # intermediate results are removed
     report = json.loads((reconstructed / "report.json").read_text(encoding="utf-8"))
     assert report["statistics"]["registered_images"] == 5
-    assert "--format colmap-binary colmap-text ply" in report["command"]
+    assert "--format colmap-binary colmap-text ply nerfstudio" in report["command"]
     binary, text = (read_reconstruction(reconstructed / name / "0") for name in ("colmap-binary", "colmap-text"))
     np.testing.assert_allclose(text.Ts_world_cam, binary.Ts_world_cam, atol=1e-9)
     assert len(read_reconstruction(reconstructed / "points-0.ply").points) == len(binary.points)
+
+
+def test_paths_of_nerfstudio_lead_to_the_photographs(reconstructed: Path, photographs: Path) -> None:
+    folder = reconstructed / "nerfstudio" / "0"
+    document = json.loads((folder / "transforms.json").read_text(encoding="utf-8"))
+    files = {(folder / frame["file_path"]).resolve() for frame in document["frames"]}
+    assert files == {path.resolve() for path in photographs.glob("*.jpg")}
+    assert {path.name for path in folder.iterdir()} == {"transforms.json", "sparse_pc.ply"}
 
 
 def test_the_function_gives_the_same(photographs: Path, reconstructed: Path) -> None:
@@ -309,9 +317,11 @@ def test_surfaces_of_the_villa(
     reconstructed: Path, photographs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     small = ["--views.max-side-px", "240", "--depth.levels", "2", "--mesh.min-triangles", "20", "--json"]
+    small += ["--format", "ply", "glb", "obj"]
     assert main(["dense", str(reconstructed), "--out", str(tmp_path / "dense"), *small]) == 0
     summary = json.loads(capsys.readouterr().out)
     names = {"dense.jpg", "dense.ply", "mesh.jpg", "mesh.ply", "report.html", "report.json", "run.rrd"}
+    names |= {"mesh.glb", "mesh.obj"}
     assert {path.name for path in (tmp_path / "dense").iterdir()} == names
     points = read_reconstruction(tmp_path / "dense" / "dense.ply").points
     assert len(points) == summary["points"] > 2000

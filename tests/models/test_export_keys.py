@@ -181,8 +181,8 @@ def test_sensor_files_are_yaml_and_read_with_and_without_header(tmp_path: Path) 
             path.parent.mkdir(exist_ok=True)
             path.write_text(header + text)
             assert parse_yaml(path, header + text).values
-        back = read_euroc_rig(tmp_path, 2)
+        back = read_euroc_rig(tmp_path, (0, 1))
         assert back.imu == rig.imu and back.cameras[1].model == rig.cameras[1].model
     (tmp_path / "imu0" / "sensor.yaml").write_text("%YAML:1.0")
     with pytest.raises(InputError, match="no field rate_hz"):
-        read_euroc_rig(tmp_path, 2)
+        read_euroc_rig(tmp_path, (0, 1))

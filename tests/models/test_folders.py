@@ -13,6 +13,7 @@ from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.image_sets import open_images
 from dronevio.models.imu_presets import BMI088
 from dronevio.models.recordings.bag.options import BagTopics
+from dronevio.models.recordings.bag.writer import write_bag
 from dronevio.models.recordings.calibration.exports import CONFIGURATIONS
 from dronevio.models.recordings.calibration.kalibr import camchain_yaml, imu_yaml
 from dronevio.models.recordings.euroc import write_euroc_recording
@@ -108,9 +109,11 @@ def test_a_calibration_replaces_that_of_a_folder(tmp_path: Path, noise_recording
         open_recording(tmp_path / "flight", calibration=files[:1])
     one = replace(moved, cameras=moved.cameras[:1])
     chain, imu = calibration(tmp_path / "one", one)
-    with pytest.raises(InputError, match=r"1 cameras, of which .* has 2; expected as many"):
+    with pytest.raises(InputError, match=r"1 cameras, without cam1 of .*; expected the calibration of all"):
         open_recording(tmp_path / "flight", calibration=[chain, imu])
     assert len(open_recording(tmp_path / "flight", 1, [chain, imu]).rig.cameras) == 1
+    with pytest.raises(InputError, match="without cam1"):
+        open_recording(tmp_path / "flight", ["cam1"], [chain, imu])
     with pytest.raises(ConfigError, match="topics are for bags"):
         open_recording(tmp_path / "flight", topics=BagTopics(imu=("/imu0",)))
 
@@ -137,6 +140,42 @@ def dso(folder: Path, recording: Any, by_number: bool = False) -> Path:
     lines = [f"{t},{','.join(map(repr, row))}\n" for t, row in zip(truth.t_ns.tolist(), poses, strict=True)]
     (folder / "gt_imu.csv").write_text("# timestamp[ns],tx,ty,tz,qw,qx,qy,qz\n" + "".join(lines))
     return folder
+
+
+@pytest.mark.parametrize("layout", ["euroc", "kalibr", "dso", "bag", "bag-kalibr"])
+@pytest.mark.parametrize("chosen", [["cam1"], [1, 0], ("1", "cam0")])
+def test_cameras_are_chosen(tmp_path: Path, noise_recording: Make, layout: str, chosen: list[int | str]) -> None:
+    """A rig of chosen cameras sees what they see in the whole rig, at the same times of the IMU."""
+    recording = noise_recording("fisheye-stereo")
+    first, second = recording.rig.cameras
+    second = replace(second, model=replace(second.model, fx=second.model.fx + 1.0))
+    recording = replace(recording, rig=replace(recording.rig, cameras=(first, replace(second, time_offset_s=0.002))))
+    path = tmp_path / "flight"
+    if layout in ("euroc", "kalibr"):
+        write_euroc_recording(path, recording)
+    elif layout == "dso":
+        calibration(dso(path, recording, by_number=False), recording.rig)
+    else:
+        path = path.with_suffix(".mcap")
+        write_bag(path, recording)
+    files = calibration(tmp_path / "files", recording.rig) if "kalibr" in layout else ()
+    whole, some = open_recording(path, None, files), open_recording(path, chosen, files)
+    indices = [1] if len(chosen) == 1 else [1, 0]
+    assert some.rig.cameras[0].time_offset_s == 0.0 and whole.rig.cameras[1].time_offset_s == 0.002
+    for index, camera in zip(indices, some.rig.cameras, strict=True):
+        of_whole = whole.rig.cameras[index]
+        assert camera.model == of_whole.model
+        np.testing.assert_array_equal(camera.T_imu_cam, of_whole.T_imu_cam)
+        np.testing.assert_allclose(
+            some.rig.time_offset_s + camera.time_offset_s, whole.rig.time_offset_s + of_whole.time_offset_s, atol=1e-12
+        )
+    np.testing.assert_array_equal(some.frame_times_ns, whole.frame_times_ns)
+    for image, index in zip(some.frame(2).images, indices, strict=True):
+        np.testing.assert_array_equal(image, whole.frame(2).images[index])
+    if not files:
+        images = open_images(path, cameras=chosen, frames=3)
+        assert {name.partition("/")[0] for name in images.names} == {f"cam{index}" for index in indices}
+        np.testing.assert_array_equal(images.read(0), some.frame(0).images[0])
 
 
 @pytest.mark.parametrize("by_number", [False, True])

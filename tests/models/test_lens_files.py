@@ -68,7 +68,7 @@ def test_folders_return_the_lens(tmp_path: Path, name: str) -> None:
     for file, text in calibration_files(rig_of(MODELS[name])).items():
         (tmp_path / file).parent.mkdir(exist_ok=True)
         (tmp_path / file).write_text(text)
-    assert [camera.model for camera in read_euroc_rig(tmp_path, 2).cameras] == [MODELS[name]] * 2
+    assert [camera.model for camera in read_euroc_rig(tmp_path, (0, 1)).cameras] == [MODELS[name]] * 2
 
 
 def test_kalibr_has_its_own_order_of_the_intrinsics() -> None:

@@ -5,7 +5,7 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from dronevio.models.image_sets import ImageSet
     from dronevio.models.reconstruction import Reconstruction
 
+Format = Literal["ply", "glb", "obj", "las", "laz", "geotiff"]
+
 SOURCE = "images.json"
 """File of a result of ``dronevio sfm`` that says where its images are."""
 
@@ -30,14 +32,15 @@ class DenseCommand(Settings):
     """Compute the surfaces of a scene from images with known cameras (multi-view stereo).
 
     SCENE is a folder that `dronevio sfm photographs --out house` wrote, or a COLMAP model or Bundler file of another
-    program. The result is a folder with the points as dense.ply, a mesh as mesh.ply, a report with pictures and a rerun
-    file.
+    program. The result is a folder with the points as dense.ply, a mesh as mesh.ply, or the files of other formats, a
+    report with pictures and a rerun file.
 
     An interrupted computation continues with the finished depth maps when the same command is repeated.
 
     Examples:
       dronevio dense house
       dronevio dense house --views.max-side-px 1600 --mesh.voxel 0.02
+      dronevio dense survey --format ply glb laz geotiff
       dronevio dense colmap/sparse/0 --images colmap/images --out surfaces
     """
 
@@ -51,6 +54,9 @@ class DenseCommand(Settings):
     """Which component of the reconstruction to use, counted from 0; the first has the most images."""
     out: Path | None = None
     """Folder to make; SCENE/dense by default."""
+    format: tuple[Format, ...] = ("ply",)
+    """Formats of the surfaces: points and mesh as PLY; the mesh as GLB or OBJ; the points as LAS or LAZ (which needs
+    dronevio[las]); orthophoto and height map as GeoTIFF (dronevio[geo]), for scenes in metres whose z points up."""
     output: Output = field(default_factory=OutputOptions)
     """How the result is written and printed."""
     dense: Annotated[DenseConfig, tyro.conf.arg(name="")] = field(
@@ -68,11 +74,13 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.cli.output_files import atomic_folder, require_free
     from dronevio.estimator.array_store import ArrayStore
     from dronevio.estimator.dense.pipeline import densify
+    from dronevio.exports import check_surface_formats
     from dronevio.models.errors import InputError
     from dronevio.models.reconstructions import read_reconstruction
 
     target = command.out or (command.scene if command.scene.is_dir() else command.scene.parent) / "dense"
     require_free(target, command.output.overwrite)  # before the images are read
+    check_surface_formats(command.format, command.scene)
     reconstruction = read_reconstruction(find_model(command.scene, command.component))
     images = _open(command)
     work = target.absolute().with_name(f".{target.name}.work")
@@ -91,7 +99,7 @@ def main(arguments: Sequence[str]) -> int:
     if command.output.json:
         print_json(_summary(target, result))
         return 0
-    _print(target, result)
+    _print(target, command.format, result)
     return 0
 
 
@@ -142,11 +150,13 @@ def _write(
     from dronevio.eval.provenance import RunInfo
     from dronevio.eval.report.dense import DenseResults, write_dense_report
     from dronevio.eval.rerun.dense import write_dense_rerun
-    from dronevio.models.reconstructions.ply_surfaces import write_cloud, write_mesh
+    from dronevio.exports import write_surface_files
     from dronevio.models.serialization import to_jsonable
+    from dronevio.sfm_inputs import read_world
 
-    write_cloud(folder / "dense.ply", result.cloud)
-    write_mesh(folder / "mesh.ply", result.mesh)
+    origin = read_world(command.scene / "report.json").origin if command.component == 0 else None
+    for kind in command.format:
+        write_surface_files(folder, kind, result, origin)
     info = RunInfo(
         title=f"Surfaces: {command.scene.name}",
         command=shlex.join(["dronevio", "dense", *arguments]),
@@ -179,7 +189,17 @@ def _summary(target: Path, result: "DenseResult") -> dict[str, Any]:
     }
 
 
-def _print(target: Path, result: "DenseResult") -> None:
+_FILES: dict[Format, dict[str, str]] = {
+    "ply": {"points": "dense.ply", "mesh": "mesh.ply"},
+    "glb": {"mesh": "mesh.glb"},
+    "obj": {"mesh": "mesh.obj"},
+    "las": {"points": "dense.las"},
+    "laz": {"points": "dense.laz"},
+    "geotiff": {"map": "orthophoto.tif", "heights": "height.tif"},
+}
+
+
+def _print(target: Path, formats: Sequence[Format], result: "DenseResult") -> None:
     print_values(
         "Surfaces",
         (
@@ -189,7 +209,8 @@ def _print(target: Path, result: "DenseResult") -> None:
             *((stage, f"{seconds:.1f}", "s") for stage, seconds in result.times_s.items()),
         ),
     )
-    print(f"points:   {target}/dense.ply")
-    print(f"mesh:     {target}/mesh.ply")
+    for kind in formats:
+        for what, name in _FILES[kind].items():
+            print(f"{what + ':':<9} {target}/{name}")
     print(f"report:   {target}/report.html")
     print(f"open it:  dronevio view {target}")

@@ -65,7 +65,7 @@ class EstimateCommand:
     Examples:
       dronevio estimate recordings/room-0
       dronevio estimate V1_01_easy --out v101.tum
-      dronevio estimate V1_01_easy --cameras 1 --imu-rate v101_imu.tum
+      dronevio estimate V1_01_easy --cameras 0 --imu-rate v101_imu.tum
       dronevio estimate flight.mcap --calibration camchain.yaml imu.yaml --topics.images /left/image_raw
       dronevio estimate V1_01_easy --estimator.tracker.corners.cell-px 36
       dronevio estimate MH_01_easy.bag --calibration camchain.yaml imu.yaml

@@ -58,7 +58,7 @@ class MapCommand(Settings):
       dronevio map flight.mcap --calibration camchain.yaml imu.yaml --out hall
       dronevio map MH_01_easy --cell-m 0.05 --range-m 3
       dronevio map MH_01_easy --band-m 0.2 1.8
-      dronevio map MH_01_easy --cameras 1 --no-slam
+      dronevio map MH_01_easy --cameras 0 --no-slam
       dronevio map GOPR0001.MP4 --calibration camera.yaml --imu MPU-6050
       dronevio map MH_01_easy --live
     """

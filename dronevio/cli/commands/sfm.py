@@ -25,9 +25,12 @@ if TYPE_CHECKING:
     from dronevio.models.camera import CameraModel
     from dronevio.models.geodesy import GeodeticPoint
     from dronevio.models.image_sets import ImageSet
+    from dronevio.models.reconstruction import SelfCalibration
 
-Format = Literal["colmap-binary", "colmap-text", "bundler", "ply"]
+Format = Literal["colmap-binary", "colmap-text", "bundler", "ply", "nerfstudio", "openmvs"]
 
+PAIR = 2
+"""Number of images of a pair."""
 MOST_WARNINGS = 5
 """Number of images that cannot be used of which each has a warning."""
 
@@ -62,7 +65,8 @@ class SfmCommand(Settings):
     out: Path | None = None
     """Folder to make; runs/sfm-NAME by default."""
     format: tuple[Format, ...] = ("colmap-binary", "ply")
-    """Formats of the reconstruction: COLMAP's binary or text model, Bundler's file, the points as PLY."""
+    """Formats of the reconstruction: COLMAP's binary or text model, Bundler's file, the points as PLY, a folder of
+    nerfstudio (transforms.json), a scene of OpenMVS with undistorted images."""
     camera: Literal["shared", "per-image"] | None = None
     """For folders: whether images of one size and lens share a camera, as by default, or each has its own."""
     calibration: Path | None = None
@@ -74,8 +78,9 @@ class SfmCommand(Settings):
     """Folder of masks with the names of the images, or one mask for all; no features are detected where it is black."""
     every: Annotated[int | None, Range(low=1)] = None
     """For videos: distance between the frames to use."""
-    cameras: Annotated[tuple[int, ...] | None, Range(0, 15)] = None
-    """Cameras to use, counted from 0: of a recording the first by default, of a folder of a rig all."""
+    cameras: tuple[str, ...] | None = None
+    """Cameras to use, by index or name: 0 or cam0, 1 or cam1, ... Of a recording the first is used by default, of a
+    folder of a rig all are."""
     frames: Annotated[int | None, Range(low=1)] = None
     """For recordings: number of frames to use, spread evenly; all by default."""
     add_to: Path | None = None
@@ -151,6 +156,7 @@ def main(arguments: Sequence[str]) -> int:
         print_json(_summary(target, images, result) | {"left_out": left_out})
         return 0
     _print(target, images, result, left_out)
+    _print_doubts(images, result)
     return 0
 
 
@@ -209,14 +215,15 @@ def _write(
     from dronevio.eval.provenance import RunInfo
     from dronevio.eval.report.reconstruction import ReconstructionResults, write_reconstruction_report
     from dronevio.eval.rerun.reconstruction import write_reconstruction_rerun
+    from dronevio.exports import write_component
     from dronevio.models.image_sets.source import ImageSource, write_image_source
-    from dronevio.models.reconstructions import write_reconstruction
     from dronevio.models.serialization import to_jsonable
 
+    sources = [path for path in (command.images, command.earlier_images) if path is not None and path.is_dir()]
     for kind in command.format:
-        for number, reconstruction in enumerate(result.reconstructions):
-            name = {"bundler": f"bundle-{number}.out", "ply": f"points-{number}.ply"}.get(kind, f"{kind}/{number}")
-            write_reconstruction(reconstruction, folder / name, kind)
+        for number, (each, world) in enumerate(zip(result.reconstructions, result.worlds, strict=True)):
+            has_mounting = world.scale == "rig"
+            write_component(folder, kind, number, each, images, sources=sources, has_mounting=has_mounting)
     source = ImageSource(command.images, command.earlier_images, command.masks, command.cameras)
     write_image_source(folder / "images.json", source)
     read = _reader(images)
@@ -237,6 +244,7 @@ def _write(
         read_image=read,
         unit="m" if result.is_metric else "",
         up=_up(result),
+        calibrations=result.calibrations,
         origin=_origin(result),
         georeferences=tuple(world.geo for world in result.worlds),
     )
@@ -298,7 +306,51 @@ def _summary(target: Path, images: "ImageSet", result: "SfmResult") -> dict[str,
     statistics = to_jsonable(reconstruction_statistics(result.reconstructions, len(images.names)))
     assert isinstance(statistics, dict)
     worlds = to_jsonable(result.worlds)
-    return {"out": str(target), **statistics, "metric": result.is_metric, "worlds": worlds, "times_s": result.times_s}
+    pairs = sum(len(reconstruction.image_names) == PAIR for reconstruction in result.reconstructions)
+    cameras = [
+        {"component": number, **_camera_values(camera, calibration)}
+        for number, (reconstruction, calibrations) in enumerate(
+            zip(result.reconstructions, result.calibrations, strict=True), start=1
+        )
+        for camera, calibration in zip(reconstruction.cameras, calibrations, strict=True)
+    ]
+    summary = {"out": str(target), **statistics, "pairs": pairs, "metric": result.is_metric, "worlds": worlds}
+    return summary | {"cameras": cameras, "times_s": result.times_s}
+
+
+def _camera_values(camera: "CameraModel", calibration: "SelfCalibration | None") -> dict[str, Any]:
+    """Return the focal length and the distortion of a camera for JSON, and the standard deviations of estimates."""
+    return {
+        "f_px": math.sqrt(camera.fx * camera.fy),
+        "distortion": camera.distortion,
+        "sigmas": None if calibration is None else calibration.sigmas,
+        "held": None if calibration is None else calibration.held,
+    }
+
+
+def _print_doubts(images: "ImageSet", result: "SfmResult") -> None:
+    """Warn of what the images do not determine."""
+    largest = result.reconstructions[0]
+    if len(largest.image_names) == PAIR < len(images.names):
+        print_warning(
+            f"only pairs of the {len(images.names)} images were reconstructed, which determine no scene;"
+            " expected three or more images that overlap"
+        )
+    for camera, calibration in zip(largest.cameras, result.calibrations[0], strict=True):
+        if calibration is not None and "f" in calibration.held:
+            print_warning(
+                f"the images do not determine the focal length: {camera.fx:.0f} px is a guess, and so are angles and"
+                " proportions; a calibration of the camera (--calibration), or images in other directions, determine it"
+            )
+            break
+
+
+def _calibration_values(result: "SfmResult") -> list[tuple[str, str, str]]:
+    """Return the rows of the table about the first camera of the first component, if it was estimated."""
+    camera, calibration = result.reconstructions[0].cameras[0], result.calibrations[0][0]
+    if calibration is None or "f" not in calibration.sigmas:
+        return []
+    return [("focal length (first camera)", f"{camera.fx:.1f} ± {calibration.sigmas['f']:.1f}", "px")]
 
 
 def _world_values(world: "WorldFrame", images: "ImageSet") -> list[tuple[str, str, str]]:
@@ -336,6 +388,16 @@ def _world_values(world: "WorldFrame", images: "ImageSet") -> list[tuple[str, st
     return [*rows, (f"{what} not used", world.note, "")] if world.note else rows
 
 
+def _components(result: "SfmResult") -> str:
+    """Return the number of components; two images are a pair."""
+    pairs = sum(len(reconstruction.image_names) == PAIR for reconstruction in result.reconstructions)
+    larger = len(result.reconstructions) - pairs
+    if not pairs:
+        return f"{larger}"
+    of_two = "1 pair" if pairs == 1 else f"{pairs} pairs"
+    return f"{larger}, and {of_two} of images" if larger else f"none; {of_two} of images"
+
+
 def _print(target: Path, images: "ImageSet", result: "SfmResult", left_out: dict[str, str]) -> None:
     from dronevio.eval.metrics.reconstruction import reconstruction_statistics
 
@@ -345,12 +407,13 @@ def _print(target: Path, images: "ImageSet", result: "SfmResult", left_out: dict
         (
             ("images registered", f"{statistics.registered_images} of {statistics.images}", ""),
             *([("files that cannot be used", f"{len(left_out)}", "")] if left_out else []),
-            ("components", f"{statistics.components}", ""),
+            ("components", _components(result), ""),
             ("points", f"{statistics.points}", ""),
             ("observations", f"{statistics.observations}", ""),
             ("mean track length", f"{statistics.mean_track_length:.2f}", "images"),
             ("reprojection error, median", f"{statistics.error_median_px:.2f}", "px"),
             ("reprojection error, RMS", f"{statistics.error_rms_px:.2f}", "px"),
+            *_calibration_values(result),
             *_world_values(result.worlds[0], images),
             *((stage, f"{seconds:.1f}", "s") for stage, seconds in result.times_s.items()),
         ),

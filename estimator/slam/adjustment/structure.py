@@ -59,7 +59,7 @@ def map_structure(inputs: AdjustmentInputs, config: AdjustmentConfig, stamps_ns:
         structure = _with_landmarks(images, numbers, table, landmarks)
         is_wrong = _is_wrong(structure)
         if not is_wrong.any():
-            return RecordedReconstruction(structure, np.repeat(stamps_ns, len(cameras)))
+            return RecordedReconstruction(structure, np.repeat(stamps_ns, len(cameras)), inputs.calibration.Ts_imu_cam)
         table = table[~is_wrong]
 
 

@@ -6,7 +6,8 @@
     title, command, open_command, seed          as in `RunInfo`
     statistics     the fields of `ReconstructionStatistics`
     components     images, points, observations of each component
-    cameras        component, images, observations, error_median_px and the fields of `CameraModel` of each camera
+    cameras        component, images, observations, error_median_px of each camera, the fields of `CameraModel`, and
+                   those of `SelfCalibration`, null for calibrated cameras
     images         name, component, camera, observations, error_median_px of each registered image
     unregistered   {image: reason}
     times_s        {stage: processing time}
@@ -40,7 +41,7 @@ from dronevio.models.camera import CameraModel
 from dronevio.models.errors import EvaluationError
 from dronevio.models.geodesy import GeodeticPoint
 from dronevio.models.georeference import GeoReference
-from dronevio.models.reconstruction import Reconstruction
+from dronevio.models.reconstruction import Reconstruction, SelfCalibration
 from dronevio.models.serialization import to_jsonable
 
 Indices = npt.NDArray[np.int64]
@@ -72,6 +73,8 @@ class ReconstructionResults:
     """(3,) Up direction in the world frames of the components; None to estimate it from the cameras."""
     unit: str = ""
     """Unit of the world frames, such as m; empty if their scale is arbitrary."""
+    calibrations: Sequence[Sequence[SelfCalibration | None]] = ()
+    """Which parameters of each camera of each component were estimated; None for calibrated ones, empty if unknown."""
     origin: GeodeticPoint | None = None
     """Where the origin of the world frame is on Earth, with x east, y north and z up; None if it is unknown."""
     georeferences: Sequence[GeoReference | None] = ()
@@ -150,6 +153,8 @@ class CameraSummary:
     """Median of its reprojection errors [px]; None without observations."""
     model: CameraModel
     """Intrinsics of the camera."""
+    calibration: SelfCalibration | None = None
+    """Which of them were estimated; None if they were given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +189,8 @@ def camera_summaries(results: ReconstructionResults) -> list[CameraSummary]:
         for index, model in enumerate(component.cameras):
             of_camera = errors[camera_of_observation == index]
             images = int(np.sum(component.image_camera == index))
-            summaries.append(CameraSummary(number, images, len(of_camera), _median(of_camera), model))
+            calibration = results.calibrations[number - 1][index] if results.calibrations else None
+            summaries.append(CameraSummary(number, images, len(of_camera), _median(of_camera), model, calibration))
     return summaries
 
 
@@ -240,8 +246,8 @@ def _georeference_values(geo: GeoReference) -> dict[str, object]:
 
 def _camera_values(summary: CameraSummary) -> dict[str, object]:
     values = asdict(summary)
-    model = values.pop("model")
-    return {**values, **model}
+    model, calibration = values.pop("model"), values.pop("calibration") or {"sigmas": None, "held": None}
+    return {**values, **model, **calibration}
 
 
 def _position_values(positions: ComponentPositions) -> dict[str, object]:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -37,13 +38,18 @@ def camera_table(results: ReconstructionResults) -> Table:
     rows = []
     for index, summary in enumerate(camera_summaries(results), start=1):
         model = summary.model
+        sigmas, held = (summary.calibration.sigmas, summary.calibration.held) if summary.calibration else ({}, ())
+        focal = _value(model.fx, 2)
+        if "f" in sigmas:
+            focal = replace(focal, detail=f"± {sigmas['f']:.2g}")
         rows.append(
             (
                 _count(index),
                 _count(summary.images),
                 _value(summary.error_median_px, 2),
                 Cell(f"{model.width} × {model.height}"),
-                *(_value(value, 2) for value in (model.fx, model.fy, model.cx, model.cy)),
+                replace(focal, warning="not determined by the images" if "f" in held else ""),
+                *(_value(value, 2) for value in (model.fy, model.cx, model.cy)),
                 Cell(model.lens, detail=", ".join(f"{value:.4g}".replace("-", "−") for value in model.distortion)),
             )
         )

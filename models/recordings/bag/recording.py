@@ -44,7 +44,7 @@ from dronevio.models.recordings.repair import (
     unpaired_images,
 )
 from dronevio.models.recordings.segments import Split, segment_name, split_at_steps, usable_segments
-from dronevio.models.rig import Rig, check_camera_count
+from dronevio.models.rig import Cameras, Rig, camera_indices
 from dronevio.models.state import CameraFrame, Trajectory
 
 MAX_TIME_S = 1e9  # longer than any recording
@@ -89,7 +89,7 @@ class BagRecording:
     def open(
         cls,
         path: Path | str,
-        cameras: int | None = None,
+        cameras: Cameras = None,
         calibration: Sequence[Path] = (),
         topics: BagTopics | None = None,
         sync_tolerance_s: float | None = None,
@@ -100,7 +100,7 @@ class BagRecording:
 
         Args:
             path: A ``.bag``, ``.mcap`` or ``.db3`` file, or a folder written by ``ros2 bag``.
-            cameras: Number of cameras to use; None for all.
+            cameras: Cameras to use, in the order of the calibration or of the topics.
             calibration: Calibration files of Kalibr, which replace the calibration in the bag.
             topics: Topics to read instead of those found by message type.
             sync_tolerance_s: Largest difference between the exposures of two images of one frame [s]; None for half of
@@ -114,14 +114,15 @@ class BagRecording:
         Raises:
             InputError: A topic or a field is missing, damaged, not supported or ambiguous; or, with `repair`, IMU and
                 cameras do not overlap in time.
-            ConfigError: The number of cameras is less than 1.
+            ConfigError: A camera does not exist.
         """
-        check_camera_count(cameras)
         bag, files = BagFile(Path(path)), [Path(file) for file in calibration]
         parts = MissingParts(bag)
-        selected = find_topics(bag, topics or BagTopics(), _calibrated_topics(bag, files), cameras, parts)
-        if not selected.images or not selected.imu:
-            bag_rig(bag, selected, read_calibrations(bag, files), 20.0, parts, imu)  # raises for all that is missing
+        selected = find_topics(bag, topics or BagTopics(), _calibrated_topics(bag, files), parts)
+        used = camera_indices(cameras, len(selected.images)) if selected.images else ()
+        selected = replace(selected, images=tuple(selected.images[index] for index in used))
+        if not selected.images or not selected.imu:  # raises for all that is missing
+            bag_rig(bag, selected, used, read_calibrations(bag, files), 20.0, parts, imu)
         imu_stamps, imu_values = read_imu_rows(bag, selected.imu)
         streams = [imu_stamps, *(bag.stamps(topic) for topic in selected.images)]
         split = split_at_steps([each.t_ns for each in streams])
@@ -135,7 +136,7 @@ class BagRecording:
             own = [each.selected(split.rows(k)[index]) for k, each in enumerate(streams)]
             images = tuple(ImageTopic(bag, stamps, repair) for stamps in own[1:])
             calibrations = read_calibrations(bag, files, _rate_hz(images[0].t_ns))
-            rig, sampling = bag_rig(bag, selected, calibrations, _rate_hz(images[0].t_ns), parts, imu)
+            rig, sampling = bag_rig(bag, selected, used, calibrations, _rate_hz(images[0].t_ns), parts, imu)
             frames = _frames(bag, images, rig, sync_tolerance_s, repair)
             times = frames.t_ns
             samples, imu_found = _imu_of(bag, own[0], imu_values[split.rows(0)[index]], sampling, repair)

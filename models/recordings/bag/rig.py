@@ -49,6 +49,7 @@ def read_calibrations(bag: BagFile, files: Sequence[Path], rate_hz: float = 20.0
 def bag_rig(
     bag: BagFile,
     topics: BagTopics,
+    used: Sequence[int],
     calibrations: Sequence[Calibration],
     rate_hz: float,
     parts: MissingParts,
@@ -59,6 +60,7 @@ def bag_rig(
     Args:
         bag: The bag.
         topics: Topics of images and IMU.
+        used: Index in a calibration of the camera of each image topic.
         calibrations: Calibrations of files or of the bag, in the order of their precedence.
         rate_hz: Frame rate [Hz].
         parts: The parts that the bag lacks, to which those of the calibration are added.
@@ -78,20 +80,21 @@ def bag_rig(
     chains = [calibration for calibration in calibrations if calibration.cameras]
     cameras = chains[0].cameras if chains else _cameras_of_messages(bag, topics, rate_hz, parts)
     parts.check()
-    if len(cameras) < len(topics.images):
+    if chains and len(cameras) <= max(used):
         raise bag.error(
-            f"{len(topics.images)} topics with images, but {len(cameras)} cameras in the calibration", "equal numbers"
+            f"{len(cameras)} cameras in the calibration, and images of cam{max(used)}",
+            "the calibration of all cameras, or others to use (--cameras)",
         )
     model = imu or imus[0].imu
     assert model is not None
     with as_input_error(bag.path):
         rig = Rig(
-            cameras=cameras[: len(topics.images)],
+            cameras=cameras,
             imu=model,
             T_vehicle_imu=imus[0].T_vehicle_imu if imus else np.eye(4),
             time_offset_s=chains[0].time_offset_s if chains else 0.0,
         )
-    return rig, imus[0].sampling if imus else "point"
+    return rig.with_cameras(used if chains else range(len(cameras))), imus[0].sampling if imus else "point"
 
 
 def _cameras_of_messages(bag: BagFile, topics: BagTopics, rate_hz: float, parts: MissingParts) -> tuple[RigCamera, ...]:

@@ -18,16 +18,13 @@ POSE_TYPES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometr
 _TRUTH_NAMES = ("groundtruth", "ground_truth", "vicon", "mocap", "optitrack")
 
 
-def find_topics(
-    bag: BagFile, requested: BagTopics, calibrated: Sequence[str], cameras: int | None, parts: MissingParts
-) -> BagTopics:
+def find_topics(bag: BagFile, requested: BagTopics, calibrated: Sequence[str], parts: MissingParts) -> BagTopics:
     """Return the topics to read; those that are missing are empty, and that of the ground truth if there is none.
 
     Args:
         bag: The bag.
         requested: Topics that the user selected.
         calibrated: Image topics that the calibration names, empty if it has none.
-        cameras: Number of cameras to use; None for all.
         parts: Collects missing image and IMU topics.
 
     Raises:
@@ -40,7 +37,7 @@ def find_topics(
     with parts.collected():
         imu = _requested_imu(bag, requested.imu) if requested.imu else _imu_topics(bag)
     truth = _checked(bag, requested.truth, POSE_TYPES) if requested.truth else truth_topic(bag)
-    return BagTopics(images[:cameras], imu, truth)
+    return BagTopics(images, imu, truth)
 
 
 def camera_info_topic(image_topic: str) -> str:

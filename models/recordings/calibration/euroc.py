@@ -10,6 +10,7 @@ exposed at another time than the first, and the keys of
 `dronevio.models.recordings.calibration.imu_fields` in that of the IMU, with ``sampling`` if its samples are increments.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
 
@@ -27,20 +28,21 @@ from dronevio.models.rig import Rig, RigCamera
 _COEFFICIENTS = "distortion_coefficients"
 
 
-def read_euroc_rig(mav0: Path, cameras: int) -> Rig:
-    """Read the calibration of the IMU, if there is one, and the first ``cameras`` cameras of the folder ``mav0``.
+def read_euroc_rig(mav0: Path, cameras: Sequence[int] = (0,)) -> Rig:
+    """Read the calibration of the IMU, if there is one, and of cameras of the folder ``mav0``, by their indices.
 
     Raises:
         InputError: A file or field is missing or invalid, or a camera model is not supported.
     """
     body = read_yaml(mav0 / "body.yaml") if (mav0 / "body.yaml").exists() else YamlDocument(mav0, {}, {})
     with as_input_error(mav0):
-        return Rig(
-            cameras=tuple(_read_camera(read_yaml(mav0 / f"cam{i}" / "sensor.yaml")) for i in range(cameras)),
+        rig = Rig(
+            cameras=tuple(_read_camera(read_yaml(mav0 / f"cam{i}" / "sensor.yaml")) for i in cameras),
             imu=_read_imu(read_yaml(mav0 / "imu0" / "sensor.yaml")) if (mav0 / "imu0").exists() else UNKNOWN_IMU,
             T_vehicle_imu=body.pose("T_vehicle_imu") if "T_vehicle_imu.data" in body else np.eye(4),
             time_offset_s=body.number("time_offset_s") if "time_offset_s" in body else 0.0,
         )
+    return rig.with_cameras(range(len(cameras)))
 
 
 def read_euroc_sampling(mav0: Path) -> Sampling:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.sfm.adjustment import BundleAdjustmentConfig
+from dronevio.estimator.sfm.intrinsics import IntrinsicsPrior
 from dronevio.estimator.sfm.model import Scene, SfmState
 from dronevio.estimator.sfm.tracks import Tracks
 from dronevio.models.camera import CameraModel
@@ -50,7 +51,8 @@ def perturbed(made: "SyntheticScene", is_calibrated: bool) -> tuple[Scene, SfmSt
     for T in Ts_world_cam:
         T[:3, :3] @= exp_so3(rng.normal(scale=0.003, size=3))
         T[:3, 3] += rng.normal(scale=0.01, size=3)
-    scene = Scene(tracks, pixels[order], sigmas, np.zeros(len(made.features), np.int64), np.array([is_calibrated]))
+    of_image, weak = np.zeros(len(made.features), np.int64), IntrinsicsPrior(made.camera, 10.0, (10.0, 10.0), 3)
+    scene = Scene(tracks, pixels[order], sigmas, of_image, np.array([is_calibrated]), (weak,))
     points = made.points + rng.normal(scale=0.02, size=made.points.shape)
     selected = np.ones(len(order), np.bool_)
     return scene, SfmState((made.camera,), Ts_world_cam, points, selected), selected

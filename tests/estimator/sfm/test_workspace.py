@@ -1,20 +1,33 @@
-"""The folder in which features and matches are kept."""
+"""What an interrupted reconstruction has stored is read as it was."""
 
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from dronevio.estimator.sfm.two_view import Geometry, TwoView
 from dronevio.estimator.sfm.workspace import Workspace
 
 
-def test_pairs_and_images_without_pairs(tmp_path: Path) -> None:
+@pytest.mark.parametrize("counts", [(), (0,), (3,), (2, 0, 5), (0, 0)])
+def test_pairs_are_read_as_they_were_stored(tmp_path: Path, counts: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(0)
+    pairs = [
+        TwoView(4, 5 + n, rng.integers(0, 99, (count, 2)), Geometry.GENERAL, rng.normal(size=(4, 4)), 0.1 * n)
+        for n, count in enumerate(counts)
+    ]
     workspace = Workspace(tmp_path)
-    matches = np.array([[1, 2], [3, 4], [5, 6]], np.int64)
-    pairs = [TwoView(0, other, matches[:other], Geometry.GENERAL, np.eye(4), 0.1) for other in (1, 3)]
-    workspace.save_pairs(0, "key", pairs)
-    workspace.save_pairs(1, "key", [])
-    loaded = workspace.load_pairs(0, "key")
-    assert loaded is not None and [(pair.second, len(pair.matches)) for pair in loaded] == [(1, 1), (3, 3)]
-    assert workspace.load_pairs(1, "key") == []
-    assert workspace.load_pairs(1, "another key") is None
+    assert workspace.load_pairs(4, "key") is None
+    workspace.save_pairs(4, "key", pairs)
+    assert workspace.load_pairs(4, "another key") is None
+    read = workspace.load_pairs(4, "key")
+    assert read is not None and len(read) == len(pairs)
+    for stored, pair in zip(read, pairs, strict=True):
+        assert (stored.first, stored.second, stored.geometry, stored.angle_rad) == (
+            pair.first,
+            pair.second,
+            pair.geometry,
+            pair.angle_rad,
+        )
+        np.testing.assert_array_equal(stored.matches, pair.matches)
+        np.testing.assert_array_equal(stored.T_first_second, pair.T_first_second)

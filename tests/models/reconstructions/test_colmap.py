@@ -15,8 +15,9 @@ from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.lenses.lens import LensName
 from dronevio.models.reconstruction import Reconstruction
-from dronevio.models.reconstructions import ReconstructionFormat, read_colmap, write_colmap
+from dronevio.models.reconstructions import ReconstructionFormat, RigFrames, read_colmap, write_colmap
 from dronevio.models.reconstructions.formats import check_format
+from dronevio.models.rotation import exp_so3, pose_matrix
 
 Make = Callable[..., Reconstruction]
 Same = Callable[[Reconstruction, Reconstruction], None]
@@ -341,3 +342,70 @@ def test_models_of_pycolmap_are_read(tmp_path: Path, binary: bool, model: str) -
     assert len(r.observation_px) == theirs.compute_num_observations() > 100
     np.testing.assert_allclose(r.positions[2], theirs.image(sorted(theirs.images)[2]).projection_center(), atol=1e-12)
     assert r.reprojection_errors_px().max() < 1e-8  # its observations are exact
+
+
+# --- Rigs and frames
+
+
+def rig_scene(scene: Make) -> tuple[Reconstruction, RigFrames]:
+    """A reconstruction of a rig whose third frame lacks the first camera, with images in no particular order."""
+    r = scene()
+    Ts_rig_cam = pose_matrix(
+        exp_so3(np.array([[0.1, -0.2, 0.3], [-0.3, 0.1, 1.2]])), np.array([[0.1, 0, 0], [0, 0.2, 1]])
+    )
+    image_camera, frame = np.array([1, 0, 0, 1, 1]), np.array([4, 4, 2, 2, 9])
+    Ts_world_rig = r.Ts_world_cam[[0, 0, 1, 1, 2]]
+    return replace(r, image_camera=image_camera, Ts_world_cam=Ts_world_rig @ Ts_rig_cam[image_camera]), RigFrames(
+        frame, Ts_rig_cam
+    )
+
+
+@pytest.mark.parametrize("binary", [False, True], ids=["text", "binary"])
+def test_pycolmap_reads_rigs_and_frames(
+    tmp_path: Path, scene: Make, assert_same_reconstruction: Same, binary: bool
+) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    r, rig = rig_scene(scene)
+    for _ in range(2):  # the second replaces the first
+        write_colmap(tmp_path, r, binary, rig)
+    assert_same_reconstruction(read_colmap(tmp_path), r)
+    theirs = pycolmap.Reconstruction(str(tmp_path))
+    assert (theirs.num_rigs(), theirs.num_frames(), theirs.num_images()) == (1, 3, 5)
+    [their_rig] = theirs.rigs.values()
+    assert their_rig.ref_sensor_id.id == 1 and their_rig.num_sensors() == 2
+    [(sensor, pose)] = their_rig.non_ref_sensors.items()
+    expected = np.linalg.inv(rig.Ts_rig_cam[1]) @ rig.Ts_rig_cam[0]
+    assert sensor.id == 2
+    np.testing.assert_allclose(pose.matrix(), expected[:3], atol=1e-13)
+    frames = [sorted(data.id for data in frame.data_ids) for _, frame in sorted(theirs.frames.items())]
+    assert frames == [[3, 4], [1, 2], [5]]
+    for i in range(5):  # poses that pycolmap composes of those of the frame and the rig
+        pose = theirs.image(i + 1).cam_from_world().matrix()
+        np.testing.assert_allclose(pose, np.linalg.inv(r.Ts_world_cam[i])[:3], atol=1e-12)
+    theirs.write(str(tmp_path))
+    assert_same_reconstruction(read_colmap(tmp_path), r)
+
+
+def test_the_pose_of_a_frame_is_the_mean_of_its_images(tmp_path: Path, scene: Make) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    r, rig = rig_scene(scene)
+    moved = r.Ts_world_cam.copy()
+    moved[0, :3, 3] += [0.02, 0.0, -0.04]
+    write_colmap(tmp_path, replace(r, Ts_world_cam=moved), True, rig)
+    center = pycolmap.Reconstruction(str(tmp_path)).image(2).projection_center()
+    np.testing.assert_allclose(center, r.positions[1] + [0.01, 0.0, -0.02], atol=1e-12)
+
+
+def test_rigs_that_contradict_the_images_are_refused(tmp_path: Path, scene: Make) -> None:
+    r, rig = rig_scene(scene)
+    for wrong, message in (
+        (replace(rig, image_frame=np.array([4, 4, 2, 9, 9])), "two images of camera 1 in frame 9"),
+        (replace(rig, image_frame=rig.image_frame[:4]), r"image_frame has shape \(4,\); expected \(5,\)"),
+        (replace(rig, Ts_rig_cam=rig.Ts_rig_cam[:1]), r"Ts_rig_cam has shape \(1, 4, 4\); expected \(2, 4, 4\)"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            write_colmap(tmp_path, r, True, wrong)
+        assert not list(tmp_path.iterdir())
+    write_colmap(tmp_path, r, True, rig)
+    with pytest.raises(InputError, match=r"rigs\.bin: a file of another model"):
+        write_colmap(tmp_path, r, True)

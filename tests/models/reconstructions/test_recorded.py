@@ -83,6 +83,24 @@ def test_images_that_are_missing_are_left_out(noise_recording: Make, tmp_path: P
     assert written == sorted(r.image_names)
 
 
+def test_images_of_one_time_are_a_frame(noise_recording: Make, tmp_path: Path) -> None:
+    """The first frame lacks its first image; poses come from the frames and the mounting."""
+    pycolmap = pytest.importorskip("pycolmap")
+    recording = noise_recording()
+    found = recorded(recording)
+    Ts_imu_cam = np.tile(np.eye(4), (2, 1, 1))
+    Ts_imu_cam[1, :3, 3] = [0.1, 0.02, -0.03]
+    Ts_map_imu = np.tile(np.eye(4), (4, 1, 1))
+    Ts_map_imu[2:, :3, 3] = [1.0, 2.0, 3.0]
+    moved = replace(found.reconstruction, Ts_world_cam=Ts_map_imu @ Ts_imu_cam[[0, 1, 0, 1]])
+    mounted = replace(found, reconstruction=moved, Ts_imu_cam=Ts_imu_cam)
+    write_colmap_folder(tmp_path, mounted, WithoutImage(recording, 0))
+    theirs = pycolmap.Reconstruction(str(tmp_path / "sparse" / "0"))
+    assert (theirs.num_rigs(), theirs.num_frames(), theirs.num_images()) == (1, 2, 3)
+    positions = [theirs.image(i + 1).projection_center() for i in range(3)]
+    np.testing.assert_allclose(positions, [[0.1, 0.02, -0.03], [1.0, 2.0, 3.0], [1.1, 2.02, 2.97]], atol=1e-12)
+
+
 def test_written_images_are_those_of_the_recording(noise_recording: Make, tmp_path: Path) -> None:
     recording = noise_recording()
     write_colmap_folder(tmp_path, recorded(recording), recording)
