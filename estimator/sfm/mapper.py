@@ -112,8 +112,15 @@ def finish(scene: Scene, state: SfmState, config: MapperConfig) -> SfmState:
     return remove_outliers(scene, adjust(scene, state, state.used(scene), adjustment), config.triangulation)
 
 
-def hold_undetermined(scene: Scene, state: SfmState, config: MapperConfig) -> tuple[Scene, SfmState]:
+def hold_undetermined(scene: Scene, state: SfmState, config: MapperConfig, least: int = 0) -> tuple[Scene, SfmState]:
     """Estimate all intrinsics that the images determine, hold the others, and adjust a subset of observations.
+
+    Args:
+        scene: The measurements.
+        state: The reconstruction.
+        config: Settings.
+        least: Number of parameters that are estimated in any case: 1 if positions of the cameras are measured,
+            which determine the focal length where images do not.
 
     Returns:
         The scene, whose priors state which parameters are estimated, and the adjusted state.
@@ -124,7 +131,8 @@ def hold_undetermined(scene: Scene, state: SfmState, config: MapperConfig) -> tu
         priors, cameras = list(scene.priors), list(state.cameras)
         for k, covariance in _covariances(scene, state).items():
             if priors[k].is_pinhole:
-                priors[k] = without_undetermined(priors[k], cameras[k], covariance)
+                held = without_undetermined(priors[k], cameras[k], covariance)
+                priors[k] = replace(held, estimated=max(held.estimated, least))
                 cameras[k] = priors[k].held(cameras[k])
         if tuple(priors) == scene.priors:
             break

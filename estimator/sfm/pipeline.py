@@ -130,9 +130,10 @@ def reconstruct(
         start = initial_state(scene, images.cameras, poses.Ts_world_cam)
     # Incremental mapping, one state per connected part of the scene
     states = map_scene(scene, images.cameras, pairs, config.mapper, stages("mapping"), start, is_final=False)
+    is_measured = poses is not None or images.geotags is not None or images.control_points is not None
     completed: list[tuple[Scene, SfmState]] = []
     for state in states:
-        completed.append(_completed(*_with_known_cameras(scene, state, completed), features, config))
+        completed.append(_completed(*_with_known_cameras(scene, state, completed), features, config, is_measured))
     # World frame: scale, gravity and origin
     origin = None if earlier_world is None else earlier_world.origin
     placed = [(own, *place(own, state, images, config, poses, origin)) for own, state in completed]
@@ -302,13 +303,18 @@ def _calibrations(completed: Sequence[tuple[Scene, SfmState]]) -> tuple[tuple[Se
     return tuple(result)
 
 
-def _completed(scene: Scene, state: SfmState, features: list[Features], config: SfmConfig) -> tuple[Scene, SfmState]:
-    """Return a reconstruction with longer tracks, finally adjusted, and its measurements."""
+def _completed(
+    scene: Scene, state: SfmState, features: list[Features], config: SfmConfig, is_measured: bool
+) -> tuple[Scene, SfmState]:
+    """Return a reconstruction with longer tracks, finally adjusted, and its measurements.
+
+    Where positions of the cameras are measured, focal lengths are estimated in any case.
+    """
     if config.completion.merge:
         scene, state = merge_tracks(scene, state, features, config.completion)
     if config.completion.guided:
         scene, state = add_observations(scene, state, features, config.completion)
-    scene, state = hold_undetermined(scene, state, config.mapper)
+    scene, state = hold_undetermined(scene, state, config.mapper, least=int(is_measured))
     return scene, finish(scene, state, config.mapper)
 
 

@@ -16,6 +16,7 @@ from dronevio.estimator.sfm.intrinsics import (
     is_monotonic,
     without_undetermined,
 )
+from dronevio.estimator.sfm.model import KnownPoses
 from dronevio.estimator.sfm.pipeline import SfmResult, reconstruct
 from dronevio.models.camera import CameraModel
 from dronevio.models.image_sets import ImageSet
@@ -85,11 +86,12 @@ def test_standard_deviations_are_those_of_the_errors(
     assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 2.0
 
 
-@pytest.mark.parametrize("step_m", [0.05, 1.0])
+@pytest.mark.parametrize("step_m", [0.3, 1.0])
 def test_straight_flight_has_no_absurd_distortion(
     scene: "SyntheticScene", make_images: "MakeImages", tmp_path: Path, step_m: float
 ) -> None:
     result = reconstructed(straight(scene, step_m), make_images, tmp_path)
+    assert len(result.reconstructions) == 1
     for reconstruction, (calibration,) in zip(result.reconstructions, result.calibrations, strict=True):
         (found,) = reconstruction.cameras
         assert calibration is not None and is_monotonic(found)
@@ -153,3 +155,15 @@ def test_parameters_without_evidence_are_held() -> None:
     limit = MAX_FOCAL_SHARE * prior.sigmas[0]
     assert held((0.0, 0.0), (0.99 * limit, np.inf, np.inf), 1) == 1
     assert held((0.0, 0.0), (1.01 * limit, np.inf, np.inf), 1) == 0
+
+
+def test_measured_poses_determine_the_focal_length(
+    scene: "SyntheticScene", make_images: "MakeImages", tmp_path: Path
+) -> None:
+    """Also where the images of a straight flight do not."""
+    made = straight(scene, 0.3)
+    images, workspace = make_images(made, tmp_path)
+    poses = KnownPoses(made.Ts_world_cam, 0.01, 0.002)
+    result = reconstruct(uncalibrated(images), SfmConfig(), workspace, poses=poses)
+    assert result.calibrations[0][0] is not None and "f" in result.calibrations[0][0].sigmas
+    assert result.worlds[0].scale == "poses"
