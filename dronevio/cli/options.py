@@ -37,8 +37,8 @@ class RecordingOptions(Settings):
     """How a command reads a recording."""
 
     cameras: tuple[str, ...] | None = None
-    """Cameras to use, by index or name: 0 or cam0, 1 or cam1, ... The first one is the main camera. All cameras are
-    used by default."""
+    """Cameras to use, by index or name: 0 or cam0, 1 or cam1, and so on. The first one is the main camera. All cameras
+    are used by default."""
     calibration: tuple[Path, ...] = ()
     """Calibration files that replace or complete that of the recording: Kalibr's camchain.yaml, imu.yaml or both, or
     Basalt's calibration.json."""

@@ -43,7 +43,7 @@ def open_recording(
         path: An EuRoC folder (``mav0`` or its parent), a ``.bag``, ``.mcap`` or ``.db3`` file, a folder written by
             ``ros2 bag``, a folder of DSO with an IMU, a drive or sequence of KITTI, or a video with the telemetry of a
             GoPro camera.
-        cameras: Cameras to use, by their index in the calibration or their name: ``cam0``, ``cam1``, ... The first one
+        cameras: Cameras to use, by their index in the calibration or their name: ``cam0``, ``cam1``. The first one
             is the main camera. Also the number of cameras, from the first on; None for all.
         calibration: Calibration files of Kalibr or Basalt that replace or complete the calibration of the recording.
         topics: Topics of a bag to read, if they cannot be found by type.

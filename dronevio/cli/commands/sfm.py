@@ -79,8 +79,8 @@ class SfmCommand(Settings):
     every: Annotated[int | None, Range(low=1)] = None
     """For videos: distance between the frames to use."""
     cameras: tuple[str, ...] | None = None
-    """Cameras to use, by index or name: 0 or cam0, 1 or cam1, ... Of a recording the first is used by default, of a
-    folder of a rig all are."""
+    """Cameras to use, by index or name: 0 or cam0, 1 or cam1, and so on. Of a recording the first is used by default,
+    of a folder of a rig all are."""
     frames: Annotated[int | None, Range(low=1)] = None
     """For recordings: number of frames to use, spread evenly; all by default."""
     add_to: Path | None = None
