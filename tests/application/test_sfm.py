@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -16,6 +17,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 import dronevio as dv
 from dronevio.cli import main
+from dronevio.cli.commands.sfm import _components, _print_doubts
 from dronevio.estimator.sfm.workspace import Workspace
 from dronevio.eval.metrics.alignment import umeyama
 from dronevio.models.camera import CameraModel
@@ -23,7 +25,7 @@ from dronevio.models.errors import InputError
 from dronevio.models.geodesy import GeodeticPoint
 from dronevio.models.image_sets import image_recording
 from dronevio.models.image_sets.source import ImageSource, read_image_source, write_image_source
-from dronevio.models.reconstruction import Reconstruction
+from dronevio.models.reconstruction import Reconstruction, SelfCalibration
 from dronevio.models.reconstructions import read_reconstruction, write_reconstruction
 from dronevio.models.recordings.calibration.kalibr import camchain_yaml, imu_yaml
 from dronevio.models.rig_presets import rig_named
@@ -377,3 +379,24 @@ def test_real_images_are_compared_with_their_mounting(script: Callable[[str], An
     assert known.direction_deg == pytest.approx(45.0)
     assert known.baseline_percent == 0.0
     assert np.isnan(known.disparity_px)
+
+
+def test_pairs_and_guessed_focal_lengths_are_said(capsys: pytest.CaptureFixture[str]) -> None:
+    camera = CameraModel(8, 6, 10.0, 10.0, 3.5, 2.5)
+
+    def photographs(count: int) -> Any:
+        return SimpleNamespace(names=tuple(map(str, range(count))))
+
+    def result(*images: int, held: tuple[str, ...]) -> Any:
+        found = [SimpleNamespace(image_names=photographs(n).names, cameras=(camera,)) for n in images]
+        return SimpleNamespace(reconstructions=found, calibrations=[(SelfCalibration({}, held),)] * len(found))
+
+    assert _components(result(5, held=())) == "1"
+    assert _components(result(5, 2, 2, held=())) == "1, and 2 pairs of images"
+    assert _components(result(2, held=())) == "none; 1 pair of images"
+    _print_doubts(photographs(5), result(5, 2, held=("k1", "k2")))
+    _print_doubts(photographs(2), result(2, held=()))
+    assert capsys.readouterr().err == ""
+    _print_doubts(photographs(3), result(2, held=("f", "k1", "k2")))
+    error = capsys.readouterr().err
+    assert "only pairs of the 3 images" in error and "10 px is a guess" in error
