@@ -13,7 +13,7 @@ from dronevio.models.imu import EUROC_IMU, ImuModel
 from dronevio.models.ranges import Range, Settings, require
 
 Cameras: TypeAlias = Sequence[int | str] | str | int | None
-"""Cameras to use: indices or names ``cam0``, ``cam1``, ...; a number of cameras from the first on; or None for all."""
+"""Cameras to use: indices or names ``cam0``, ``cam1``, ...; a largest number, from the first on; or None for all."""
 
 MAX_CAMERAS = 16
 """Largest number of cameras of a rig in files."""
@@ -89,17 +89,16 @@ def camera_indices(cameras: Cameras, count: int) -> tuple[int, ...]:
     """Return the indices of the cameras to use.
 
     Args:
-        cameras: Indices or names of cameras, the number of cameras to use from the first on, or None for all.
+        cameras: Indices or names of cameras, the number of cameras to use at most, from the first on, or None for all.
         count: Number of cameras that there are.
 
     Raises:
         ConfigError: A camera does not exist or is chosen twice, or none is chosen.
     """
     if cameras is None or isinstance(cameras, int):
-        number = count if cameras is None else cameras
-        if not 1 <= number <= count:
-            raise ConfigError(f"{number} cameras; expected 1 to {count}")
-        return tuple(range(number))
+        if cameras is not None and cameras < 1:
+            raise ConfigError(f"{cameras} cameras; expected 1 or more, or None for all")
+        return tuple(range(count if cameras is None else min(cameras, count)))
     chosen = (cameras,) if isinstance(cameras, str) else cameras
     names = {name: index for index in range(count) for name in (str(index), f"cam{index}")}
     indices = tuple(names.get(str(camera), -1) for camera in chosen)

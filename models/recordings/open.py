@@ -44,7 +44,7 @@ def open_recording(
             ``ros2 bag``, a folder of DSO with an IMU, a drive or sequence of KITTI, or a video with the telemetry of a
             GoPro camera.
         cameras: Cameras to use, by their index in the calibration or their name: ``cam0``, ``cam1``. The first one
-            is the main camera. Also the number of cameras, from the first on; None for all.
+            is the main camera. Also their largest number, from the first on; None for all.
         calibration: Calibration files of Kalibr or Basalt that replace or complete the calibration of the recording.
         topics: Topics of a bag to read, if they cannot be found by type.
         repair: Whether to go on with defects such as damaged images, and to list them in ``defects`` of the recording

@@ -196,7 +196,7 @@ def test_an_incomplete_recording_has_the_frames_that_exist(tmp_path: Path, camer
     assert "incomplete recording without frames" in str(refused(flight))
 
 
-@pytest.mark.parametrize("cameras", [0, -1, 3, [], [2], [-1], [0, "cam0"], ["left"], "10"])
+@pytest.mark.parametrize("cameras", [0, -1, [], [2], [-1], [0, "cam0"], ["left"], "10"])
 def test_cameras_that_do_not_exist_are_refused(cameras: Any, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"cameras.*; expected"):
         EurocRecording.open(write_flight(tmp_path / "stereo", cameras=2), cameras=cameras)
