@@ -27,7 +27,7 @@ from dronevio.estimator.sfm.pairs import select_pairs
 from dronevio.estimator.sfm.placement.gauge import aligned
 from dronevio.estimator.sfm.placement.world import WorldFrame, place
 from dronevio.estimator.sfm.tracks import MatchedPair, connect_tracks
-from dronevio.estimator.sfm.two_view import TwoView, verify, view_of
+from dronevio.estimator.sfm.two_view import ImageView, TwoView, verify, view_of
 from dronevio.estimator.sfm.workspace import Workspace
 from dronevio.estimator.threads import map_with_progress, single_threaded
 from dronevio.models.errors import ConfigError, InputError
@@ -52,7 +52,7 @@ class SfmResult:
     """Elapsed time of each stage [s]."""
     worlds: tuple[WorldFrame, ...]
     """How the world frame of each reconstruction is determined."""
-    calibrations: tuple[tuple[SelfCalibration | None, ...], ...] = ()
+    calibrations: tuple[tuple[SelfCalibration | None, ...], ...]
     """Which parameters of each camera of each reconstruction were estimated; None for cameras with a calibration."""
     unreadable: Mapping[int, InputError] = field(default_factory=dict)
     """Why an image, or its mask, cannot be read, by the index of the image."""
@@ -219,11 +219,7 @@ def _match(
     progress: Progress,
 ) -> list[TwoView]:
     """Return the verified pairs among some pairs, in the order of their images."""
-    # Fisheyes have a focal length with which the essential matrix explains their matches.
-    views = [
-        view_of(f.pixels, images.cameras[k], bool(images.is_calibrated[k]) or images.cameras[k].lens == "equidistant")
-        for f, k in zip(features, images.image_camera.tolist(), strict=True)
-    ]
+    views = _views(images, features)
 
     def match(group: tuple[int, list[int]]) -> list[TwoView]:
         first, others = group
@@ -253,17 +249,25 @@ def _with_focal_lengths(
     changed = np.array([new is not old for new, old in zip(cameras, images.cameras, strict=True)])[images.image_camera]
     if not changed.any():
         return images, pairs
-    views = [
-        view_of(f.pixels, cameras[k], bool(images.is_calibrated[k]))
-        for f, k in zip(features, images.image_camera.tolist(), strict=True)
-    ]
+    images = replace(images, cameras=cameras)
+    views = _views(images, features)
     verified = [
         verify(pair.first, pair.second, (views[pair.first], views[pair.second]), pair.matches, config)
         if changed[pair.first] or changed[pair.second]
         else pair
         for pair in pairs
     ]
-    return replace(images, cameras=cameras), [pair for pair in verified if pair is not None]
+    return images, [pair for pair in verified if pair is not None]
+
+
+def _views(images: ImageSet, features: list[Features]) -> list[ImageView]:
+    """Return what verification needs of each image; fisheyes count as calibrated, by their first focal length."""
+    is_known = [
+        bool(known) or camera.lens == "equidistant"
+        for known, camera in zip(images.is_calibrated, images.cameras, strict=True)
+    ]
+    of_image = zip(features, images.image_camera.tolist(), strict=True)
+    return [view_of(f.pixels, images.cameras[k], is_known[k]) for f, k in of_image]
 
 
 def _scene(images: ImageSet, features: list[Features], pairs: Sequence[MatchedPair]) -> Scene:
