@@ -20,6 +20,7 @@ from dronevio.cli import main
 from dronevio.cli.commands.sfm import _components, _print_doubts
 from dronevio.estimator.sfm.workspace import Workspace
 from dronevio.eval.metrics.alignment import umeyama
+from dronevio.exports import write_surface_files
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
 from dronevio.models.geodesy import GeodeticPoint
@@ -316,11 +317,27 @@ def test_accuracy_script_ignores_a_similarity(script: Callable[[str], Any]) -> N
 
 @pytest.mark.slow
 def test_surfaces_of_the_villa(
-    reconstructed: Path, photographs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    reconstructed: Path,
+    photographs: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    # The scene has a place on Earth, which the files of surfaces receive
+    place, origins = GeodeticPoint(47.0, 8.0, 500.0), set[GeodeticPoint | None]()
+    report = json.loads((reconstructed / "report.json").read_text(encoding="utf-8"))
+    scene = shutil.copytree(reconstructed, tmp_path / "scene")
+    (scene / "report.json").write_text(json.dumps(report | {"origin": vars(place)}), encoding="utf-8")
+
+    def write(folder: Path, form: Any, result: Any, origin: GeodeticPoint | None) -> None:
+        origins.add(origin)
+        write_surface_files(folder, form, result, origin)
+
+    monkeypatch.setattr("dronevio.exports.write_surface_files", write)
     small = ["--views.max-side-px", "240", "--depth.levels", "2", "--mesh.min-triangles", "20", "--json"]
     small += ["--format", "ply", "glb", "obj"]
-    assert main(["dense", str(reconstructed), "--out", str(tmp_path / "dense"), *small]) == 0
+    assert main(["dense", str(scene), "--out", str(tmp_path / "dense"), *small]) == 0
+    assert origins == {place}
     summary = json.loads(capsys.readouterr().out)
     names = {"dense.jpg", "dense.ply", "mesh.jpg", "mesh.ply", "report.html", "report.json", "run.rrd"}
     names |= {"mesh.glb", "mesh.obj"}
