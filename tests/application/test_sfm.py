@@ -200,6 +200,10 @@ def test_unrelated_images_are_bad_input(tmp_path: Path, capsys: pytest.CaptureFi
         cv2.imwrite(str(tmp_path / f"{k}.png"), rng.integers(0, 256, (120, 160), dtype=np.uint8))
     assert main(["sfm", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
     assert "no two of which determine the motion" in capsys.readouterr().err
+    for k in (1, 2):
+        (tmp_path / f"{k}.png").unlink()
+    assert main(["sfm", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
+    assert "one image; expected images of one scene that overlap" in capsys.readouterr().err
     assert {path.suffix for path in tmp_path.iterdir()} == {".png"}  # neither a result nor intermediate ones
 
 

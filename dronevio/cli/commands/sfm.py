@@ -145,9 +145,10 @@ def main(arguments: Sequence[str]) -> int:
         _print_left_out(left_out)
         if not result.reconstructions:
             shutil.rmtree(work, ignore_errors=True)
+            count = len(images.names)
             raise InputError(
                 command.images,
-                f"{len(images.names)} images, no two of which determine the motion of a camera",
+                "one image" if count == 1 else f"{count} images, no two of which determine the motion of a camera",
                 "images of one scene that overlap, from different positions",
             )
         _write(folder, target, command, arguments, images, result, left_out)
