@@ -159,6 +159,42 @@ def _covariances(scene: Scene, state: SfmState) -> dict[int, Array]:
 
 
 @dataclass(frozen=True, eq=False)
+class _Visibility:
+    """What the images see of the points, by which the next image is chosen."""
+
+    cells: Indices
+    """(M, 2) Column and line of the cell of each observation in the finest grid of its image."""
+    points: Indices
+    """(I,) Number of points that each image observes."""
+    score: Array
+    """(I,) How evenly they cover it."""
+
+    @classmethod
+    def of(cls, scene: Scene, state: SfmState) -> "_Visibility":
+        """Return the visibility of all points."""
+        sizes = np.array([[camera.width, camera.height] for camera in state.cameras])
+        relative = (scene.pixels + 0.5) / sizes[scene.image_camera[scene.tracks.image]]
+        cells = (np.clip(relative, 0.0, 1.0 - 1e-9) * 2**VISIBILITY_LEVELS).astype(np.int64)
+        none = cls(cells, np.zeros(scene.images, np.int64), np.zeros(scene.images))
+        return none.updated(scene, state, np.arange(scene.images))
+
+    def updated(self, scene: Scene, state: SfmState, images: Indices) -> "_Visibility":
+        """Return the visibility in which that of some images, in increasing order, is computed anew."""
+        index = np.concatenate([scene.tracks.of_image(image) for image in images.tolist()])
+        index = index[state.has_point[scene.tracks.track[index]]]
+        row, cells = np.searchsorted(images, scene.tracks.image[index]), self.cells[index]
+        score = np.zeros(len(images))
+        for level in range(1, VISIBILITY_LEVELS + 1):
+            column, line = (cells >> (VISIBILITY_LEVELS - level)).T
+            is_occupied = np.zeros((len(images), 4**level), np.bool_)
+            is_occupied[row, column * 2**level + line] = True
+            score += 4**level * is_occupied.sum(axis=1)
+        points, scores = self.points.copy(), self.score.copy()
+        points[images], scores[images] = np.bincount(row, minlength=len(images)), score
+        return replace(self, points=points, score=scores)
+
+
+@dataclass(frozen=True, eq=False)
 class _Mapper:
     scene: Scene
     config: MapperConfig
@@ -208,26 +244,32 @@ class _Mapper:
         """Register images until none is left that can be."""
         scene, config = self.scene, self.config
         adjusted_images = int(state.is_registered.sum())
+        visibility = _Visibility.of(scene, state)
         failed_at = np.zeros(scene.images, np.int64)  # number of visible points at the last failure
         discards = np.zeros(scene.images, np.int64)  # how often each image was registered with a wrong pose
         is_last = False  # whether images that were left out have had their last trial
         while True:
-            visible, score = self._visibility(state)
+            visible = visibility.points
             # An image that failed is tried again when it sees a quarter more points.
             candidates = available & ~state.is_registered & (visible >= config.resection.min_inliers)
             candidates &= (4 * visible > 5 * failed_at) & (discards < MAX_DISCARDS)
             # Registration of the image that sees most, and triangulation of what it adds
             if candidates.any():
-                image = int(np.argmax(np.where(candidates, score, -1.0)))
+                image = int(np.argmax(np.where(candidates, visibility.score, -1.0)))
                 registered = self._register(state, image)
                 if registered is None:
                     failed_at[image] = visible[image]
                     continue
-                state = self.clean(triangulate(scene, registered, config.triangulation))
+                tracks = scene.tracks.track[scene.tracks.of_image(image)]
+                state = triangulate(scene, registered, config.triangulation, tracks=tracks)
+                state = remove_outliers(scene, state, config.triangulation, tracks)
+                seeing = np.unique(scene.tracks.image[scene.tracks.of_tracks(tracks)])
+                visibility = visibility.updated(scene, state, seeing)
                 count = int(state.is_registered.sum())
                 self.progress(count, scene.images)
                 if count >= GLOBAL_RATIO * adjusted_images:
                     state = self._discard(self._refine(state), discards)
+                    visibility = _Visibility.of(scene, state)
                     adjusted_images = count
                 continue
             # Without a candidate, global adjustment of what is new, or the end
@@ -239,27 +281,14 @@ class _Mapper:
                 is_last = True
                 discards[discards >= MAX_DISCARDS] = MAX_DISCARDS - 1
             state = self._discard(self._refine(state), discards)  # better points may admit further images
+            visibility = _Visibility.of(scene, state)
             adjusted_images = count
             failed_at[:] = 0
 
-    def _visibility(self, state: SfmState) -> tuple[Indices, Array]:
-        """Return how many points each image observes (I,), and how evenly they cover it (I,)."""
-        scene = self.scene
-        seen = state.has_point[scene.tracks.track]
-        image = scene.tracks.image[seen]
-        sizes = np.array([[camera.width, camera.height] for camera in state.cameras])[scene.image_camera[image]]
-        relative = np.clip((scene.pixels[seen] + 0.5) / sizes, 0.0, 1.0 - 1e-9)
-        score = np.zeros(scene.images)
-        for level in range(1, VISIBILITY_LEVELS + 1):
-            cells = (relative * 2**level).astype(np.int64)
-            is_occupied = np.zeros((scene.images, 4**level), np.bool_)
-            is_occupied[image, cells[:, 0] * 2**level + cells[:, 1]] = True
-            score += 4**level * is_occupied.sum(axis=1)
-        return np.bincount(image, minlength=scene.images), score
-
     def _register(self, state: SfmState, image: int) -> SfmState | None:
         scene = self.scene
-        index = np.flatnonzero((scene.tracks.image == image) & state.has_point[scene.tracks.track])
+        index = scene.tracks.of_image(image)
+        index = index[state.has_point[scene.tracks.track[index]]]
         bearings = state.bearings(scene, index)
         is_defined = np.isfinite(bearings[:, 0])
         index, bearings = index[is_defined], bearings[is_defined]

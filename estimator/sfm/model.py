@@ -124,9 +124,12 @@ class SfmState:
         """(T,) Whether each track is triangulated."""
         return np.isfinite(self.points[:, 0])
 
-    def used(self, scene: Scene) -> Mask:
-        """Return which observations (M,) are inliers of a point in a registered image."""
-        return np.asarray(self.is_inlier & self.is_registered[scene.tracks.image] & self.has_point[scene.tracks.track])
+    def used(self, scene: Scene, selected: Indices | None = None) -> Mask:
+        """Return which observations, all by default, are inliers of a point in a registered image."""
+        rows = slice(None) if selected is None else selected
+        is_registered, has_point = self.is_registered, self.has_point
+        image, track = scene.tracks.image[rows], scene.tracks.track[rows]
+        return np.asarray(self.is_inlier[rows] & is_registered[image] & has_point[track])
 
     def bearings(self, scene: Scene, selected: Mask | Indices) -> Array:
         """Return unit vectors (S, 3) in the camera frames of the selected observations, NaN where there is none."""

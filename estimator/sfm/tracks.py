@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -43,6 +44,31 @@ class Tracks:
     def count(self) -> int:
         """Number of tracks T."""
         return int(self.track[-1]) + 1 if len(self.track) else 0
+
+    def of_tracks(self, tracks: Indices) -> Indices:
+        """Return the observations of some tracks, in the order of the tracks as they are given."""
+        return _rows(self._track_starts, tracks)
+
+    def of_image(self, image: int) -> Indices:
+        """Return the observations of an image, in the order of their tracks."""
+        order, starts = self._by_image
+        return order[starts[image] : starts[image + 1]] if image < len(starts) - 1 else order[:0]
+
+    @cached_property
+    def _track_starts(self) -> Indices:
+        return np.concatenate([[0], np.cumsum(np.bincount(self.track, minlength=self.count))]).astype(np.int64)
+
+    @cached_property
+    def _by_image(self) -> tuple[Indices, Indices]:
+        starts = np.concatenate([[0], np.cumsum(np.bincount(self.image))]).astype(np.int64)
+        return np.argsort(self.image, kind="stable"), starts
+
+
+def _rows(starts: Indices, groups: Indices) -> Indices:
+    """Return the rows of some groups of consecutive rows, of which group k begins at row ``starts[k]``."""
+    counts = starts[groups + 1] - starts[groups]
+    first = np.repeat(starts[groups] - (np.cumsum(counts) - counts), counts)
+    return np.asarray(first + np.arange(len(first)))
 
 
 def connect_tracks(pairs: Sequence[MatchedPair], feature_counts: Indices) -> Tracks:

@@ -52,10 +52,11 @@ def add_observations(
     for image in np.flatnonzero(state.is_registered).tolist():
         neighbours = np.flatnonzero(shared[image] >= MIN_SHARED_POINTS)
         seen = np.asarray(observed[neighbours].sum(axis=0)).ravel() > 0
-        own = scene.tracks.image == image
-        seen[scene.tracks.track[own & used]] = False
+        own = scene.tracks.of_image(image)
+        own = own[used[own]]
+        seen[scene.tracks.track[own]] = False
         free = np.ones(len(features[image]), np.bool_)
-        free[scene.tracks.feature[own & used]] = False
+        free[scene.tracks.feature[own]] = False
         tracks = np.flatnonzero(seen & state.has_point)
         matches = _matches(
             scene, state, image, tracks, np.flatnonzero(free), features[image], descriptors, distances, config

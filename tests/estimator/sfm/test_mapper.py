@@ -16,10 +16,11 @@ from dronevio.estimator.sfm.config import (
     TriangulationConfig,
     VerificationConfig,
 )
-from dronevio.estimator.sfm.mapper import MAX_DISCARDS, _Mapper, finish, map_scene
+from dronevio.estimator.sfm.mapper import MAX_DISCARDS, _Mapper, _Visibility, finish, map_scene
 from dronevio.estimator.sfm.matching import match_features
-from dronevio.estimator.sfm.model import Scene, SfmState
+from dronevio.estimator.sfm.model import Scene, SfmState, initial_state
 from dronevio.estimator.sfm.resection import resect
+from dronevio.estimator.sfm.structure import remove_outliers, triangulate
 from dronevio.estimator.sfm.tracks import Tracks, connect_tracks
 from dronevio.estimator.sfm.triangulation import triangulate_tracks
 from dronevio.estimator.sfm.two_view import TwoView, verify, view_of
@@ -254,3 +255,31 @@ def test_midpoints_by_hand() -> None:
     np.testing.assert_allclose(midpoints(origins[0], first, beside, second), [[1.0, 0.5, 1.0]], atol=1e-12)
     assert np.isnan(midpoints(origins[0], first, origins[1], -second)).all()
     assert np.isnan(midpoints(origins[0], first, origins[1], first)).all()
+
+
+def test_what_one_image_adds_is_what_all_tracks_would_give(scene: "SyntheticScene") -> None:
+    problem, _ = measured(scene, scene.camera, is_calibrated=True)
+    config, last = TriangulationConfig(), len(scene.features) - 1
+    # Two registered images see the even tracks, of which the third sees some, and one of them sees the odd ones.
+    kept = (problem.tracks.image != 1) | (problem.tracks.track % 2 == 0)
+    kept &= (problem.tracks.image != last) | (problem.tracks.track % 3 > 0)
+    tracks = Tracks(problem.tracks.image[kept], problem.tracks.feature[kept], problem.tracks.track[kept])
+    problem = replace(problem, tracks=tracks, pixels=problem.pixels[kept], sigmas=problem.sigmas[kept])
+    Ts_before = np.full_like(scene.Ts_world_cam, np.nan)
+    Ts_before[:2] = scene.Ts_world_cam[:2]
+    before = triangulate(problem, initial_state(problem, (scene.camera,), Ts_before), config)
+    before = remove_outliers(problem, before, config)
+    Ts_after = Ts_before.copy()
+    Ts_after[last] = scene.Ts_world_cam[last]
+    registered = replace(before, Ts_world_cam=Ts_after)
+    observed = problem.tracks.track[problem.tracks.of_image(last)]
+    alone = remove_outliers(problem, triangulate(problem, registered, config, tracks=observed), config, observed)
+    whole = remove_outliers(problem, triangulate(problem, registered, config), config)
+    assert alone.has_point.sum() > before.has_point.sum()
+    np.testing.assert_array_equal(alone.is_inlier, whole.is_inlier)
+    np.testing.assert_allclose(alone.points, whole.points, atol=1e-3)  # of other hypotheses of RANSAC
+    seeing = np.unique(problem.tracks.image[problem.tracks.of_tracks(observed)])
+    updated = _Visibility.of(problem, before).updated(problem, alone, seeing)
+    anew = _Visibility.of(problem, alone)
+    np.testing.assert_array_equal(updated.points, anew.points)
+    np.testing.assert_array_equal(updated.score, anew.score)

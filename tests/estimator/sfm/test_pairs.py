@@ -4,10 +4,11 @@ from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pytest
 
 from dronevio.estimator.sfm.config import PairConfig
 from dronevio.estimator.sfm.features import Features
-from dronevio.estimator.sfm.pairs import image_similarities, select_pairs
+from dronevio.estimator.sfm.pairs import image_descriptors, select_pairs
 
 if TYPE_CHECKING:
     from tests.estimator.sfm.conftest import MakeScene
@@ -47,7 +48,22 @@ def test_similar_images_of_an_unordered_set() -> None:
     assert pairs == sorted(pairs)
 
 
-def test_similarity_is_one_for_an_image_itself(make_scene: "MakeScene") -> None:
-    similarity = image_similarities(make_scene(images=4).features)
-    np.testing.assert_allclose(np.diag(similarity), 1.0, atol=1e-9)
-    np.testing.assert_allclose(similarity, similarity.T, atol=1e-12)
+def test_images_are_described_by_unit_vectors(make_scene: "MakeScene") -> None:
+    features = make_scene(images=4).features
+    descriptors = image_descriptors(features)
+    np.testing.assert_allclose(np.linalg.norm(descriptors, axis=1), 1.0, atol=1e-6)
+    np.testing.assert_allclose(image_descriptors(features[::-1]).shape, descriptors.shape)
+
+
+def test_blocks_of_images_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    config, features = PairConfig(method="retrieval", similar=3), places(7, 4)
+    whole = select_pairs(features, is_ordered=False, config=config)
+    monkeypatch.setattr("dronevio.estimator.sfm.pairs.BLOCK", 5)
+    assert select_pairs(features, is_ordered=False, config=config) == whole
+
+
+def test_images_without_features_have_no_similar_ones() -> None:
+    blank = Features(np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.uint8), np.empty((0, 3), np.uint8))
+    features = [blank, *places(6, 2), blank]
+    config = PairConfig(method="retrieval", similar=1)
+    assert {(i, i + 6) for i in range(1, 7)} <= set(select_pairs(features, is_ordered=False, config=config))

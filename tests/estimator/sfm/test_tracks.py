@@ -56,3 +56,13 @@ def test_no_track_has_two_features_of_an_image() -> None:
 
 def test_without_matches_there_are_no_tracks() -> None:
     assert connect_tracks([], np.array([3, 3])).count == 0
+
+
+def test_observations_by_track_and_by_image() -> None:
+    tracks = Tracks(np.array([0, 1, 2, 0, 2, 1]), np.array([5, 6, 7, 8, 9, 3]), np.array([0, 0, 0, 1, 1, 3]))
+    np.testing.assert_array_equal(tracks.of_tracks(np.array([1, 0])), [3, 4, 0, 1, 2])
+    np.testing.assert_array_equal(tracks.of_tracks(np.array([2, 3])), [5])
+    assert tracks.of_tracks(np.empty(0, np.int64)).size == 0
+    np.testing.assert_array_equal(tracks.of_image(0), [0, 3])
+    np.testing.assert_array_equal(tracks.of_image(2), [2, 4])
+    assert tracks.of_image(3).size == 0  # without an observation
