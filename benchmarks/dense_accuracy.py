@@ -9,13 +9,17 @@ the share of true points that are near an estimated one, and F their harmonic me
 
 The baseline is a fusion of `cv2.StereoSGBM` of rectified pairs of the same images with the same poses: each image is
 matched to its best neighbours with which it can be rectified, the median of the depths is taken, and consistency and
-fusion are the same as ours::
+fusion are the same as ours.
+
+COLMAP's patch matching needs CUDA, but its fusion does not: ``colmap-fusion`` gives it our depth maps before their
+consistency is checked, and their normals, with its default settings (in pycolmap). Time is that of the fusion alone::
 
     .venv/bin/python benchmarks/dense_accuracy.py --work build/dense
     .venv/bin/python benchmarks/dense_accuracy.py --work build/dense --scenarios room-v0 --seed 7 --programs dronevio
 """
 
-from collections.abc import Iterable, Iterator
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -30,15 +34,17 @@ from sfm_accuracy import SCENARIOS, moving_frames, true_positions
 from dronevio.cli import main as dronevio
 from dronevio.estimator.dense.config import DenseConfig
 from dronevio.estimator.dense.consistency import PosedDepth
-from dronevio.estimator.dense.fusion import fuse
+from dronevio.estimator.dense.fusion import fuse, surface_normals
 from dronevio.estimator.dense.neighbours import observed_points, select_neighbours
-from dronevio.estimator.dense.pipeline import densify, filter_depths
+from dronevio.estimator.dense.pipeline import densify, estimate_depths, filter_depths
 from dronevio.estimator.dense.tsdf import pixel_size
 from dronevio.estimator.dense.views import View, ViewLoader
 from dronevio.estimator.sfm.pipeline import reconstruct
 from dronevio.eval.metrics.alignment import umeyama
 from dronevio.eval.metrics.clouds import CloudScore, compare_clouds, mesh_points, voxel_means
 from dronevio.models.arrays import Array, Floats
+from dronevio.models.camera import CameraModel
+from dronevio.models.depth import Pinhole
 from dronevio.models.image_sets import ImageSet, image_recording
 from dronevio.models.protocols import Recording
 from dronevio.models.reconstruction import Reconstruction
@@ -47,6 +53,8 @@ from dronevio.models.rotation import matrix_from_quat_wxyz
 from dronevio.models.surfaces import Mesh
 
 Indices = npt.NDArray[np.int64]
+Cost = tuple[float, float]
+"""Elapsed and processor time [s]."""
 
 VOXEL_M = 0.01
 """Side of the voxels to which both clouds are reduced [m]."""
@@ -85,7 +93,7 @@ class DenseAccuracyCommand:
     """Seed of the flights; by default, each scenario has its own."""
     frames: int = 100
     """Number of frames of each flight."""
-    programs: tuple[Literal["dronevio", "sgbm"], ...] = ("dronevio", "sgbm")
+    programs: tuple[Literal["dronevio", "sgbm", "colmap-fusion"], ...] = ("dronevio", "sgbm")
     """Programs that are measured."""
     dense: DenseConfig = field(default_factory=DenseConfig)
     """Settings of dense reconstruction."""
@@ -262,6 +270,58 @@ def baseline(images: ImageSet, reconstruction: Reconstruction, command: DenseAcc
     return fuse(((d, load(i).colours) for i, d in enumerate(found)), config.spacing_px * pixel_size(found)).points
 
 
+def colmap_fusion(
+    images: ImageSet, reconstruction: Reconstruction, command: DenseAccuracyCommand
+) -> tuple[Array, Cost]:
+    """Return the points (N, 3) that COLMAP fuses from our depth maps, and the elapsed and the processor time [s]."""
+    import pycolmap
+
+    load = ViewLoader(images, reconstruction, command.dense.views)
+    neighbours = select_neighbours(reconstruction, command.dense.views)
+    depths = estimate_depths(load, reconstruction, neighbours, command.dense)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_colmap_scene(folder, load, reconstruction, depths)
+        stopwatch = Stopwatch()
+        fused = pycolmap.stereo_fusion(folder / "fused.ply", folder, output_type="ply")
+        cost = stopwatch.lap()
+    return np.array([point.xyz for point in fused.points3D.values()]).reshape(-1, 3), cost
+
+
+def write_colmap_scene(
+    folder: Path, load: ViewLoader, reconstruction: Reconstruction, depths: Sequence[PosedDepth]
+) -> None:
+    """Write undistorted images, their model, depth maps and normals as COLMAP's fusion reads them."""
+    names = [f"{i:06d}.png" for i in range(len(depths))]
+    for part in ("images", "sparse", "stereo/depth_maps", "stereo/normal_maps", "stereo/consistency_graphs"):
+        (folder / part).mkdir(parents=True)
+    first = [int(np.flatnonzero(reconstruction.image_camera == k)[0]) for k in range(len(reconstruction.cameras))]
+    cameras = tuple(pinhole_model(depths[i].camera) for i in first)
+    undistorted = replace(reconstruction, cameras=cameras, image_names=tuple(names))
+    write_reconstruction(undistorted, folder / "sparse", "colmap-binary")
+    (folder / "stereo" / "fusion.cfg").write_text("\n".join(names) + "\n")
+    (folder / "stereo" / "patch-match.cfg").write_text("".join(f"{n}\n__auto__, 20\n" for n in names))
+    for i, (name, depth) in enumerate(zip(names, depths, strict=True)):
+        cv2.imwrite(str(folder / "images" / name), load(i).colours[..., ::-1])
+        w, normals = depth.inverse_depth, surface_normals(depth)
+        z = np.divide(1.0, w, out=np.zeros_like(w), where=(w > 0.0) & np.isfinite(normals[..., 0]))
+        write_matrix(folder / "stereo" / "depth_maps" / f"{name}.geometric.bin", z[..., None])
+        write_matrix(folder / "stereo" / "normal_maps" / f"{name}.geometric.bin", np.nan_to_num(normals))
+
+
+def pinhole_model(camera: Pinhole) -> CameraModel:
+    """Return the camera of an undistorted image as a model of a reconstruction."""
+    fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
+    return CameraModel(camera.width, camera.height, fx, fy, cx, cy)
+
+
+def write_matrix(path: Path, values: Floats) -> None:
+    """Write an array (H, W, C) as COLMAP stores it: sizes as text, then the channels, one after the other."""
+    height, width, channels = values.shape
+    data = np.ascontiguousarray(np.moveaxis(values, -1, 0), dtype="<f4")
+    path.write_bytes(f"{width}&{height}&{channels}&".encode() + data.tobytes())
+
+
 def reconstructed(
     work: Path, scenario: str, seed: int | None, count: int
 ) -> tuple[Path, Recording, Indices, ImageSet, Reconstruction]:
@@ -313,6 +373,9 @@ def measure_world(scenario: str, command: DenseAccuracyCommand) -> Iterator[Outc
         points = baseline(images, reconstruction, command)
         cost = stopwatch.lap()
         yield Outcome("StereoSGBM, points", len(points), *cost, score(true, points, reconstruction))
+    if "colmap-fusion" in command.programs:
+        points, cost = colmap_fusion(images, reconstruction, command)
+        yield Outcome("COLMAP's fusion, points", len(points), *cost, score(true, points, reconstruction))
 
 
 def measure(command: DenseAccuracyCommand) -> None:

@@ -161,8 +161,13 @@ def ours(images: ImageSet, true: Array) -> Outcome:
     return Outcome(len(rows), found.rmse_mm, result.times_s, cpu_s, scale_percent, tilt_deg)
 
 
-def colmap(images: ImageSet, true: Array, pairs: Sequence[tuple[int, int]], folder: Path, seeds: int) -> list[Outcome]:
-    """Return COLMAP's reconstructions of the same images and pairs, one for each seed of the mapping."""
+def colmap(
+    images: ImageSet, true: Array, pairs: Sequence[tuple[int, int]] | None, folder: Path, seeds: int
+) -> list[Outcome]:
+    """Return COLMAP's reconstructions of the same images and pairs, one for each seed of the mapping.
+
+    Without pairs, COLMAP's sequential matcher chooses them.
+    """
     import pycolmap
 
     shutil.rmtree(folder, ignore_errors=True)
@@ -170,7 +175,6 @@ def colmap(images: ImageSet, true: Array, pairs: Sequence[tuple[int, int]], fold
     names = [f"{i:06d}.png" for i in range(len(images.names))]
     for i, name in enumerate(names):
         cv2.imwrite(str(folder / "images" / name), images.read(i))
-    (folder / "pairs.txt").write_text("\n".join(f"{names[i]} {names[j]}" for i, j in pairs))
     camera = images.cameras[0]
     values = (camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5, *camera.distortion)
     reader = pycolmap.ImageReaderOptions(camera_model="OPENCV", camera_params=",".join(map(str, values)))
@@ -193,8 +197,12 @@ def colmap(images: ImageSet, true: Array, pairs: Sequence[tuple[int, int]], fold
         extraction_options=extraction,
     )
     costs["features"] = clock.lap()
-    pairing = pycolmap.ImportedPairingOptions(match_list_path=folder / "pairs.txt")
-    pycolmap.match_image_pairs(database, matching_options=matching, pairing_options=pairing)
+    if pairs is None:
+        pycolmap.match_sequential(database, matching_options=matching)
+    else:
+        (folder / "pairs.txt").write_text("\n".join(f"{names[i]} {names[j]}" for i, j in pairs))
+        pairing = pycolmap.ImportedPairingOptions(match_list_path=folder / "pairs.txt")
+        pycolmap.match_image_pairs(database, matching_options=matching, pairing_options=pairing)
     costs["matching"] = clock.lap()
     outcomes = []
     for seed in range(seeds):

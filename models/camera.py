@@ -69,6 +69,25 @@ class CameraModel(Settings):
             cy=(self.cy + 0.5) * y - 0.5,
         )
 
+    def fitted(self, width: int, height: int) -> "CameraModel":
+        """Return a camera with an image of another size [px] and pixels of the same shape.
+
+        It sees the largest centred part of the image whose sides have the ratio of the new ones.
+
+        Raises:
+            ConfigError: A side is less than one pixel.
+        """
+        sized = replace(self, width=width, height=height)
+        scale = max(width / self.width, height / self.height)
+        left, top = 0.5 * (self.width - width / scale), 0.5 * (self.height - height / scale)
+        return replace(
+            sized,
+            fx=self.fx * scale,
+            fy=self.fy * scale,
+            cx=(self.cx + 0.5 - left) * scale - 0.5,
+            cy=(self.cy + 0.5 - top) * scale - 0.5,
+        )
+
     @property
     def central_focal_px(self) -> tuple[float, float]:
         """Focal lengths x, y of the pinhole that equals the lens near the axis: pixels per radian there [px].

@@ -48,7 +48,7 @@ class ObservedMap:
         self._newest = image.copy(), T_map_vehicle
         height, width = image.shape[:2]
         if (width, height) not in self._pinholes:
-            self._pinholes[width, height] = pinhole_of(self._model.resized(width, height))
+            self._pinholes[width, height] = pinhole_of(self._model.fitted(width, height))
         camera, pinhole_map = self._pinholes[width, height]
         columns = np.clip(np.rint(pinhole_map.u).astype(int), 0, width - 1)
         rows = np.clip(np.rint(pinhole_map.v).astype(int), 0, height - 1)

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import coo_array, tril
 
 from dronevio.estimator.dense.config import ViewConfig
 from dronevio.models.arrays import Array
@@ -37,15 +38,22 @@ def select_neighbours(reconstruction: Reconstruction, config: ViewConfig) -> lis
     starts = np.searchsorted(reconstruction.observation_image[order], np.arange(C + 1))
     observed = [np.unique(reconstruction.observation_point[order[a:b]]) for a, b in pairwise(starts)]
     scores = np.zeros((C, C))
-    for i in range(C):
-        for j in range(i):
-            shared = np.intersect1d(observed[i], observed[j], assume_unique=True)
-            if len(shared):
-                points = reconstruction.points[shared]
-                to_i, to_j = reconstruction.positions[i] - points, reconstruction.positions[j] - points
-                scores[i, j] = scores[j, i] = _score(to_i, to_j, config)
+    for i, j in _connected(reconstruction):
+        points = reconstruction.points[np.intersect1d(observed[i], observed[j], assume_unique=True)]
+        to_i, to_j = reconstruction.positions[i] - points, reconstruction.positions[j] - points
+        scores[i, j] = scores[j, i] = _score(to_i, to_j, config)
     best = np.argsort(-scores, axis=1, kind="stable")[:, : config.neighbours]
     return [row[scores[i, row] > 0.0].astype(np.int64) for i, row in enumerate(best)]
+
+
+def _connected(reconstruction: Reconstruction) -> list[tuple[int, int]]:
+    """Return the pairs of images, the larger index first, that observe a point in common."""
+    ones = np.ones(len(reconstruction.observation_px), np.int32)
+    rows = reconstruction.observation_point, reconstruction.observation_image
+    shape = len(reconstruction.points), len(reconstruction.image_names)
+    observed = coo_array((ones, rows), shape=shape).tocsr()
+    first, second = tril(observed.T @ observed, -1).nonzero()
+    return list(zip(first.tolist(), second.tolist(), strict=True))
 
 
 def _score(to_i: Array, to_j: Array, config: ViewConfig) -> float:

@@ -54,7 +54,7 @@ class EnvironmentSettings(Settings):
     camera: Annotated[int, Range(0, 15)] = 0
     """Index of the camera of the rig whose images are observed."""
     image_size: Annotated[tuple[int, int], Range(1, 4096)] = (64, 64)
-    """Width and height of images [px]."""
+    """Width and height of images [px]: the largest centred part of the camera's image with their ratio of sides."""
     physics_rate_hz: Annotated[float, Range(1.0, 20_000.0)] = 1000.0
     """Rate of the physics, 2, 3 or more times that of the IMU [Hz]."""
     imu_rate_hz: Annotated[float, Range(1.0, 10_000.0)] = 0.0

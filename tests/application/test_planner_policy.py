@@ -72,7 +72,7 @@ def test_images_that_are_held_while_the_vehicle_moves_are_recognized() -> None:
 
 def test_the_pinhole_has_the_directions_of_the_lens() -> None:
     (camera,) = euroc_rig().cameras
-    model = camera.model.resized(64, 64)
+    model = camera.model.fitted(64, 64)
     pinhole, pixels = pinhole_of(model)
     rays = pinhole.rays()[pixels.mask]
     source = np.stack([pixels.u, pixels.v], axis=-1)[pixels.mask]

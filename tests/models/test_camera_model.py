@@ -225,3 +225,30 @@ def test_eurocs_camera_faces_forward() -> None:
         assert np.linalg.det(R) == pytest.approx(1.0)
     right, down, forward = T_vehicle_cam[:3, :3].T
     assert forward[0] > 0.99 and right[1] < -0.99 and down[2] < -0.99
+
+
+def test_a_square_image_shows_the_middle_by_hand() -> None:
+    camera = CameraModel(80, 40, 50.0, 50.0, 39.5, 19.5).fitted(20, 20)
+    assert (camera.width, camera.height, camera.fx, camera.fy) == (20, 20, 25.0, 25.0)
+    assert (camera.cx, camera.cy) == (9.5, 9.5)
+    # Column 0 covers columns 20 and 21 of the whole image, whose middle is at 20.5.
+    assert CameraModel(80, 40, 50.0, 50.0, 20.5, 19.5).fitted(20, 20).cx == 0.0
+
+
+@given(st.integers(1, 2000), st.integers(1, 2000))
+def test_fitted_images_have_the_pixels_of_the_camera(width: int, height: int) -> None:
+    camera = EUROC_CAM0.fitted(width, height)
+    assert camera.fx / camera.fy == pytest.approx(EUROC_CAM0.fx / EUROC_CAM0.fy)
+    scale = camera.fx / EUROC_CAM0.fx
+    assert min(width / scale, height / scale) > 0.0
+    assert width / scale <= EUROC_CAM0.width * (1.0 + 1e-12) and height / scale <= EUROC_CAM0.height * (1.0 + 1e-12)
+    assert max(width / scale / EUROC_CAM0.width, height / scale / EUROC_CAM0.height) == pytest.approx(1.0)
+
+
+def test_fitted_with_the_same_ratio_is_resized() -> None:
+    fitted, resized = EUROC_CAM0.fitted(376, 240), EUROC_CAM0.resized(376, 240)
+    assert (fitted.fx, fitted.fy, fitted.cx, fitted.cy) == pytest.approx(
+        (resized.fx, resized.fy, resized.cx, resized.cy)
+    )
+    with pytest.raises(ConfigError, match="width"):
+        EUROC_CAM0.fitted(0, 0)

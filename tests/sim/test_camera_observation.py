@@ -99,7 +99,7 @@ def test_moving_objects_are_shown_at_their_times() -> None:
     observation = RenderedObservation(AHEAD, "tiny", 0, ALL_KINDS)
     images = observation.observe(poses([0.0, 0.0]), np.array([0, 500_000_000]))
     columns = [int(depth[12].argmin()) for depth in images["depth"]]
-    fx = EUROC_CAM0.resized(32, 24).fx
+    fx = EUROC_CAM0.fitted(32, 24).fx
     assert columns[1] - columns[0] == pytest.approx(fx * 0.5 / 1.85, abs=1.5)
     assert images["depth"].min() == pytest.approx(1.8, abs=0.02)
     assert np.array_equal(observation.observe(poses(0.0))["rgb"][0], images["rgb"][0])  # 0 s by default

@@ -58,7 +58,7 @@ class ImageSettings(Settings):
     width: Annotated[int, Range(1, 4096)] = 64
     """Width of the images [px]."""
     height: Annotated[int, Range(1, 4096)] = 64
-    """Height of the images [px]. The field of view is that of the rig's camera for any width and height."""
+    """Height of the images [px]. They show the largest centred part of the camera's image with their ratio of sides."""
     depth_max_m: Annotated[float, Range(above=0.0, high=1e4)] = 20.0
     """Largest depth: farther surfaces, and pixels without a surface, have this depth [m]."""
 
@@ -123,7 +123,7 @@ class RenderedObservation:
             texture_seed: Seed of the textures, by default that of the world.
         """
         self._settings = settings or ImageSettings()
-        self._model = mounted.model.resized(self._settings.width, self._settings.height)
+        self._model = mounted.model.fitted(self._settings.width, self._settings.height)
         self._T_imu_cam = mounted.T_imu_cam
         self._key = WorldKey(
             world, seed, seed if texture_seed is None else texture_seed, texture_reduction(self._model)
