@@ -97,3 +97,14 @@ def test_the_colours_of_lines_are_in_the_palette(script: Any, drawing: Any, tmp_
         shown = np.asarray(image.convert("RGB"))
     assert colour_at(drawing, shown, 2.0, 3.0) == tool.ORANGE
     assert colour_at(drawing, shown, -7.0, 0.0) == tool.ORANGE
+
+
+def test_failures_are_titled_and_stacked(script: Any) -> None:
+    tool = script("explore_failures")
+    narrow, wide = np.full((50, 400, 3), 200, np.uint8), np.full((40, 600, 3), 100, np.uint8)
+    titled = tool.titled(narrow, tool.FAILURES[0])
+    assert titled.shape == (50 + tool.TITLE_PX, 400, 3)
+    assert np.array_equal(titled[tool.TITLE_PX :], narrow) and titled[: tool.TITLE_PX].max() > 200
+    stacked = tool.stacked([narrow, wide])
+    assert stacked.shape == (90, 600, 3)
+    assert np.array_equal(stacked[:50, :400], narrow) and np.array_equal(stacked[50:], wide)
