@@ -3,12 +3,14 @@
 `dronevio.evaluation` evaluates the estimate.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from dronevio.estimator.array_store import ArrayStore
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.dense.config import DenseConfig
+from dronevio.estimator.dense.finished import FinishedDepth
 from dronevio.estimator.dense.pipeline import DenseResult, densify
 from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.sfm.config import SfmConfig
@@ -212,6 +214,7 @@ def dense(
     config: DenseConfig | None = None,
     *,
     workspace: str | Path | None = None,
+    finished: Mapping[str, FinishedDepth] | None = None,
 ) -> DenseResult:
     """Compute the surfaces of a scene from images with known cameras (multi-view stereo).
 
@@ -221,6 +224,8 @@ def dense(
             of another program; see `dronevio.models.read_reconstruction`.
         config: Settings.
         workspace: Folder in which depth maps are kept; with it, an interrupted computation continues.
+        finished: Depth maps of an earlier result of some of the images, which are used again where the cameras have
+            hardly moved: what `dronevio.estimator.dense.finished.read_finished` reads from an earlier workspace.
 
     Returns:
         The points with normals and colours, a mesh, and the depth map of each image.
@@ -234,4 +239,4 @@ def dense(
             raise InputError("images", "a reconstruction without components", "at least one registered image")
         reconstruction = reconstruction.reconstructions[0]
     store = ArrayStore(None if workspace is None else Path(workspace))
-    return densify(opened, reconstruction, config, store=store)
+    return densify(opened, reconstruction, config, store=store, finished=finished)

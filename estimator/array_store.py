@@ -29,6 +29,15 @@ def digest(*parts: object) -> str:
     return state.hexdigest()
 
 
+def load_arrays(path: Path) -> dict[str, Any] | None:
+    """Return the arrays of a file; None if it is absent or damaged."""
+    try:
+        with _READING, path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            return dict(file)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+
+
 @dataclass(frozen=True)
 class ArrayStore:
     """A folder of intermediate results; without a folder, nothing is kept."""
@@ -38,13 +47,8 @@ class ArrayStore:
 
     def load(self, name: str, key: str) -> dict[str, Any] | None:
         """Return the arrays of a file; None if it is absent, damaged or has another hash."""
-        if self.folder is None:
-            return None
-        try:
-            with _READING, (self.folder / name).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-                return dict(file) if str(file["key"]) == key else None
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-            return None
+        arrays = None if self.folder is None else load_arrays(self.folder / name)
+        return arrays if arrays is not None and str(arrays.get("key")) == key else None
 
     def save(self, name: str, key: str, **arrays: Any) -> None:
         """Write arrays with the hash of their input and settings."""

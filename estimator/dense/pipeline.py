@@ -5,7 +5,7 @@ problem; Furukawa and Hernández, *Multi-View Stereo: A Tutorial*, 2015, for the
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -18,6 +18,7 @@ from dronevio.estimator.dense.config import DenseConfig
 from dronevio.estimator.dense.consistency import PosedDepth, consistent_depth
 from dronevio.estimator.dense.depth import estimate_depth
 from dronevio.estimator.dense.directions import dominant_normals
+from dronevio.estimator.dense.finished import FinishedDepth, held_depths, settings_hash
 from dronevio.estimator.dense.fusion import fuse
 from dronevio.estimator.dense.mesh import build_mesh
 from dronevio.estimator.dense.neighbours import observed_points, select_neighbours
@@ -48,6 +49,8 @@ class DenseResult:
     """(I,) Consistent depths of the undistorted images of the reconstruction."""
     times_s: dict[str, float]
     """Elapsed time of each stage [s]."""
+    held: int = 0
+    """Number of depth maps of an earlier result that were used again."""
 
 
 @single_threaded()
@@ -57,6 +60,7 @@ def densify(
     config: DenseConfig | None = None,
     stages: Stages = silent_stages,
     store: ArrayStore | None = None,
+    finished: Mapping[str, FinishedDepth] | None = None,
 ) -> DenseResult:
     """Return the surfaces of a scene from images with known cameras.
 
@@ -74,6 +78,7 @@ def densify(
         config: Settings.
         stages: Returns the progress callback of a stage by its name.
         store: Where depth maps are kept; an earlier one is used if its images, cameras and settings are the same.
+        finished: Depth maps of an earlier result by the names of their images, which are used again where they hold.
 
     Raises:
         InputError: A registered image is not among the images, or cannot be read.
@@ -82,7 +87,8 @@ def densify(
     load = ViewLoader(images, reconstruction, config.views)
     neighbours = select_neighbours(reconstruction, config.views)
     times = [time.perf_counter()]
-    depths = estimate_depths(load, reconstruction, neighbours, config, stages("depth maps"), store)
+    held = held_depths(load, reconstruction.image_names, finished or {}, config)
+    depths = estimate_depths(load, reconstruction, neighbours, config, stages("depth maps"), store, held)
     times.append(time.perf_counter())
     consistent = filter_depths(depths, neighbours, config, stages("consistency"))
     spacing = config.spacing_px * pixel_size(consistent)
@@ -93,7 +99,7 @@ def densify(
     times.append(time.perf_counter())
     elapsed = np.diff(times).tolist()
     times_s = dict(zip(("depth maps", "fusion", "mesh"), elapsed, strict=True))
-    return DenseResult(cloud, mesh, spacing, volume.voxel, tuple(consistent), times_s)
+    return DenseResult(cloud, mesh, spacing, volume.voxel, tuple(consistent), times_s, len(held))
 
 
 def estimate_depths(
@@ -103,6 +109,7 @@ def estimate_depths(
     config: DenseConfig,
     progress: Progress = silent,
     store: ArrayStore | None = None,
+    held: Mapping[int, FinishedDepth] | None = None,
 ) -> list[PosedDepth]:
     """Return the depth map of each image, without the depths at which the images correlate too little.
 
@@ -113,8 +120,9 @@ def estimate_depths(
         config: Settings.
         progress: Called with the number of finished depth maps.
         store: Where depth maps are kept; an earlier one is used if its images, cameras and settings are the same.
+        held: Depth maps of an earlier result by the indices of their images, which are used again.
     """
-    store = store or ArrayStore()
+    store, held = store or ArrayStore(), held or {}
     normals = dominant_normals(reconstruction.points, config.depth.directions)
 
     def estimate(i: int) -> PosedDepth:
@@ -122,16 +130,22 @@ def estimate_depths(
         points = observed_points(reconstruction, i)
         if not len(neighbours[i]) or not len(points):
             return PosedDepth(camera, T, np.zeros((camera.height, camera.width), np.float32))
+        file = f"depth-{i:06d}.npz"
+        if i in held:
+            store.save(file, "", **held[i].arrays())
+            return PosedDepth(camera, T, held[i].inverse_depth)
         reference, sources = load(i), [load(int(j)) for j in neighbours[i]]
-        name, threshold = f"depth-{i:06d}.npz", config.consistency.min_correlation
+        threshold = config.consistency.min_correlation
         inputs = chain.from_iterable(view.inputs() for view in (reference, *sources))
         key = digest(config.depth, threshold, points, normals, camera.width, *inputs)
-        stored = store.load(name, key)
+        stored = store.load(file, key)
         if stored is not None:
             return PosedDepth(camera, T, stored["inverse_depth"])
         depth_map = estimate_depth(reference, sources, points, normals, config.depth)
         inverse_depth = np.where(depth_map.correlation >= threshold, depth_map.inverse_depth, np.float32(0.0))
-        store.save(name, key, inverse_depth=inverse_depth)
+        names = [reconstruction.image_names[j] for j in (i, *neighbours[i])]
+        made = FinishedDepth.of(settings_hash(config), names, (reference, *sources), inverse_depth)
+        store.save(file, key, **made.arrays())
         return PosedDepth(camera, T, inverse_depth)
 
     with ThreadPoolExecutor(config.threads) as pool:

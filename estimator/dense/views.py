@@ -7,6 +7,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from dronevio.estimator.array_store import digest
 from dronevio.estimator.dense.config import ViewConfig
 from dronevio.models.arrays import Array, Floats, Image, Mask
 from dronevio.models.camera import CameraModel
@@ -32,6 +33,8 @@ class View:
     """(H, W) True where the undistorted image has content."""
     colours: Image
     """(H, W, 3) Red, green and blue."""
+    content: str = ""
+    """Hash of the image before it was undistorted, and of its mask."""
 
     def inputs(self) -> tuple[Array, Array, Floats, Mask]:
         """Return what a depth map depends on: intrinsic matrix, pose, grey values and mask."""
@@ -147,4 +150,5 @@ class ViewLoader:
         valid = undistortion.mask
         if mask is not None:
             valid = valid & (undistortion.apply(mask.astype(np.uint8) * np.uint8(255)) > 127)
-        return View(undistortion.camera, self._reconstruction.Ts_world_cam[index], grey, valid, colours)
+        T_world_cam = self._reconstruction.Ts_world_cam[index]
+        return View(undistortion.camera, T_world_cam, grey, valid, colours, digest(image, image.shape, mask))

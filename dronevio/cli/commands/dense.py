@@ -26,6 +26,9 @@ Format = Literal["ply", "glb", "obj", "las", "laz", "geotiff"]
 SOURCE = "images.json"
 """File of a result of ``dronevio sfm`` that says where its images are."""
 
+DEPTHS = "depths"
+"""Folder of a result with the depth maps of the images."""
+
 
 @dataclass(frozen=True)
 class DenseCommand(Settings):
@@ -35,13 +38,15 @@ class DenseCommand(Settings):
     program. The result is a folder with the points as dense.ply, a mesh as mesh.ply, or the files of other formats, a
     report with pictures and a rerun file.
 
-    An interrupted computation continues with the finished depth maps when the same command is repeated.
+    An interrupted computation continues with the finished depth maps when the same command is repeated. For a scene to
+    which images are added later, --keep-depths keeps them, and --add-to uses them again.
 
     Examples:
       dronevio dense house
       dronevio dense house --views.max-side-px 1600 --mesh.voxel 0.02
       dronevio dense survey --format ply glb laz geotiff
       dronevio dense colmap/sparse/0 --images colmap/images --out surfaces
+      dronevio dense house-2 --add-to house/dense
     """
 
     scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE")]
@@ -57,6 +62,11 @@ class DenseCommand(Settings):
     format: tuple[Format, ...] = ("ply",)
     """Formats of the surfaces: points and mesh as PLY; the mesh as GLB or OBJ; the points as LAS or LAZ (which needs
     dronevio[las]); orthophoto and height map as GeoTIFF (dronevio[geo]), for scenes in metres whose z points up."""
+    add_to: Path | None = None
+    """Result of an earlier `dronevio dense --keep-depths` of some of the images, whose depth maps are used again where
+    the cameras have moved by less than a quarter of a pixel."""
+    keep_depths: bool = False
+    """Keep the depth maps of the images in the folder depths of the result, for --add-to; 3 MB for each image."""
     output: Output = field(default_factory=OutputOptions)
     """How the result is written and printed."""
     dense: Annotated[DenseConfig, tyro.conf.arg(name="")] = field(
@@ -73,6 +83,7 @@ def main(arguments: Sequence[str]) -> int:
 
     from dronevio.cli.output_files import atomic_folder, require_free
     from dronevio.estimator.array_store import ArrayStore
+    from dronevio.estimator.dense.finished import read_finished
     from dronevio.estimator.dense.pipeline import densify
     from dronevio.exports import check_surface_formats
     from dronevio.models.errors import InputError
@@ -81,11 +92,12 @@ def main(arguments: Sequence[str]) -> int:
     target = command.out or (command.scene if command.scene.is_dir() else command.scene.parent) / "dense"
     require_free(target, command.output.overwrite)  # before the images are read
     check_surface_formats(command.format, command.scene)
+    finished = {} if command.add_to is None else read_finished(command.add_to / DEPTHS)
     reconstruction = read_reconstruction(find_model(command.scene, command.component))
     images = _open(command)
     work = target.absolute().with_name(f".{target.name}.work")
     with progress_bars(quiet=command.output.json) as bars:
-        result = densify(images, reconstruction, command.dense, bars.bar, ArrayStore(work))
+        result = densify(images, reconstruction, command.dense, bars.bar, ArrayStore(work), finished)
     if not len(result.cloud):
         shutil.rmtree(work, ignore_errors=True)
         raise InputError(
@@ -95,11 +107,13 @@ def main(arguments: Sequence[str]) -> int:
         )
     with atomic_folder(target, command.output.overwrite, mark="report.json") as folder:
         _write(folder, target, command, arguments, images, reconstruction, result)
+        if command.keep_depths:
+            shutil.copytree(work, folder / DEPTHS)
     shutil.rmtree(work, ignore_errors=True)
     if command.output.json:
         print_json(_summary(target, result))
         return 0
-    _print(target, command.format, result)
+    _print(target, command, result)
     return 0
 
 
@@ -182,6 +196,7 @@ def _summary(target: Path, result: "DenseResult") -> dict[str, Any]:
     return {
         "out": str(target),
         "images": len(result.depths),
+        "used_again": result.held,
         "points": len(result.cloud),
         "vertices": len(result.mesh.vertices),
         "triangles": len(result.mesh.triangles),
@@ -199,17 +214,18 @@ _FILES: dict[Format, dict[str, str]] = {
 }
 
 
-def _print(target: Path, formats: Sequence[Format], result: "DenseResult") -> None:
+def _print(target: Path, command: DenseCommand, result: "DenseResult") -> None:
     print_values(
         "Surfaces",
         (
             ("images", f"{len(result.depths)}", ""),
+            *((("depth maps used again", f"{result.held}", ""),) if command.add_to else ()),
             ("points", f"{len(result.cloud)}", ""),
             ("triangles of the mesh", f"{len(result.mesh.triangles)}", ""),
             *((stage, f"{seconds:.1f}", "s") for stage, seconds in result.times_s.items()),
         ),
     )
-    for kind in formats:
+    for kind in command.format:
         for what, name in _FILES[kind].items():
             print(f"{what + ':':<9} {target}/{name}")
     print(f"report:   {target}/report.html")
