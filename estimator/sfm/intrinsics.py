@@ -23,6 +23,8 @@ FOCAL_SIGMAS: Mapping[FocalSource, float] = MappingProxyType(
 """Standard deviation of a focal length by its source, relative to it."""
 DISTORTION_SIGMAS = (0.2, 0.1)
 """Standard deviations of the radial distortion coefficients k1 and k2 of a pinhole."""
+PLAUSIBLE_SIGMAS = 3.0
+"""Largest deviation from the first guess in an adjustment while a reconstruction grows, in standard deviations."""
 EVIDENCE_SIGMAS = 5.0
 """Ratio of a distortion coefficient to its standard deviation from which images determine it."""
 MAX_FOCAL_SHARE = 0.5
@@ -55,6 +57,13 @@ class IntrinsicsPrior:
         own = np.array([camera.fx, *camera.distortion[:2]])
         f, k1, k2 = np.where(np.arange(3) < self.estimated, own, self.mean).tolist()
         return replace(camera, fx=f, fy=f, distortion=(k1, k2, 0.0, 0.0))
+
+    def is_plausible(self, camera: CameraModel) -> bool:
+        """Return whether all parameters of a pinhole are within three standard deviations; a fisheye always is."""
+        if not self.is_pinhole:
+            return True
+        deviation = np.array([camera.fx, *camera.distortion[:2]]) - self.mean
+        return bool((np.abs(deviation) <= PLAUSIBLE_SIGMAS * self.sigmas).all())
 
     @property
     def is_pinhole(self) -> bool:

@@ -321,8 +321,31 @@ class _Mapper:
 
     def adjust_all(self, state: SfmState, config: BundleAdjustmentConfig = INTERMEDIATE_ADJUSTMENT) -> SfmState:
         """Adjust the whole reconstruction on a subset of its observations, with a robust loss."""
-        adjusted = adjust(self.scene, state, self._subset(state.used(self.scene)), config)
+        subset = self._subset(state.used(self.scene))
+        adjusted = adjust(self.scene, state, subset, config)
+        if config is INTERMEDIATE_ADJUSTMENT:
+            adjusted = self._plausible(adjusted, state, subset)
         return repair(self.scene, adjusted, self.config.triangulation)
+
+    def _plausible(self, adjusted: SfmState, state: SfmState, subset: Mask) -> SfmState:
+        """Return an adjusted state, or if an estimated camera in it is not plausible, the one with this camera held.
+
+        Few images, or a camera that flies straight ahead, may determine the intrinsics so badly that they leave their
+        prior, and the images that follow are registered by a wrong structure.
+        """
+        scene = self.scene
+        wild = [
+            k
+            for k, prior in enumerate(scene.priors)
+            if not scene.is_calibrated[k] and not prior.is_plausible(adjusted.cameras[k])
+        ]
+        if not wild:
+            return adjusted
+        priors, cameras = list(scene.priors), list(state.cameras)
+        for k in wild:
+            priors[k], cameras[k] = replace(priors[k], estimated=0), priors[k].camera
+        held = replace(scene, priors=tuple(priors))
+        return adjust(held, replace(state, cameras=tuple(cameras)), subset, INTERMEDIATE_ADJUSTMENT)
 
     def clean(self, state: SfmState) -> SfmState:
         """Remove outliers and points that are not determined."""

@@ -18,8 +18,9 @@ from dronevio.estimator.sfm.intrinsics import (
 )
 from dronevio.estimator.sfm.model import KnownPoses
 from dronevio.estimator.sfm.pipeline import SfmResult, reconstruct
+from dronevio.eval.metrics.alignment import umeyama
 from dronevio.models.camera import CameraModel
-from dronevio.models.image_sets import ImageSet
+from dronevio.models.image_sets import ImageSet, open_images
 
 if TYPE_CHECKING:
     from tests.estimator.sfm.conftest import MakeImages, MakeScene, SyntheticScene
@@ -137,6 +138,43 @@ def test_distortion_is_monotonic_up_to_the_corner() -> None:
             assert is_monotonic(camera) is expected
     assert is_monotonic(CameraModel(641, 481, 500.0, 500.0, 320.0, 240.0, (0.3, 0.1, 0.0, 0.0)))
     assert not is_monotonic(CameraModel(641, 481, 300.0, 300.0, 320.0, 240.0, (0.0, -0.3, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize(
+    ("focal_px", "k1", "k2", "is_plausible"),
+    [
+        (500.0, 0.0, 0.0, True),
+        (949.0, 0.59, -0.29, True),  # within 3 · 0.3 · 500 px, 3 · 0.2 and 3 · 0.1
+        (951.0, 0.0, 0.0, False),
+        (49.0, 0.0, 0.0, False),
+        (500.0, -0.61, 0.0, False),
+        (500.0, 0.0, 0.31, False),
+    ],
+)
+def test_plausible_cameras_by_hand(focal_px: float, k1: float, k2: float, is_plausible: bool) -> None:
+    prior = IntrinsicsPrior(replace(GUESS, fx=500.0, fy=500.0))
+    camera = replace(GUESS, fx=focal_px, fy=focal_px, distortion=(k1, k2, 0.0, 0.0))
+    assert prior.is_plausible(camera) == is_plausible
+    fisheye = replace(GUESS, lens="equidistant")
+    assert IntrinsicsPrior(fisheye).is_plausible(replace(fisheye, fx=2000.0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("every", [10, 20, 30])
+def test_a_video_straight_ahead(every: int, data_folder: Path) -> None:
+    """A drone flies 70 m along a coast; its flight controller knows where, to a metre or two."""
+    images = open_images(data_folder / "gopro" / "karma.mp4", every=every)
+    [found] = reconstruct(images).reconstructions
+    assert len(found.image_names) == len(images)
+    (camera,) = found.cameras
+    assert 430.0 < camera.fx < 620.0 and max(map(abs, camera.distortion)) < 0.5
+    t_s, *enu = np.loadtxt(data_folder / "gopro" / "position_enu.csv", delimiter=",", skiprows=1).T
+    assert images.t_ns is not None
+    seen_s = 1e-9 * images.t_ns[[images.names.index(name) for name in found.image_names]] + 1.5e9
+    rows = np.flatnonzero((seen_s > t_s[0]) & (seen_s < t_s[-1]))
+    true = np.stack([np.interp(seen_s[rows], t_s, axis) for axis in enu], axis=1)
+    aligned = umeyama(true, found.positions[rows], with_scale=True).positions(found.positions[rows])
+    assert np.sqrt(np.mean(np.sum((aligned - true) ** 2, axis=1))) < 1.0  # [m]; 0.3 m beside 7 m of a wrong minimum
 
 
 def test_parameters_without_evidence_are_held() -> None:

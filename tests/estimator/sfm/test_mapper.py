@@ -16,6 +16,7 @@ from dronevio.estimator.sfm.config import (
     TriangulationConfig,
     VerificationConfig,
 )
+from dronevio.estimator.sfm.intrinsics import IntrinsicsPrior
 from dronevio.estimator.sfm.mapper import MAX_DISCARDS, _Mapper, _Visibility, finish, map_scene
 from dronevio.estimator.sfm.matching import match_features
 from dronevio.estimator.sfm.model import Scene, SfmState, initial_state
@@ -116,6 +117,30 @@ def test_an_unknown_focal_length_is_estimated(scene: "SyntheticScene") -> None:
     assert state.is_registered.all()
     assert state.cameras[0].fx == pytest.approx(500.0, rel=0.02)
     assert state.cameras[0].distortion[0] == pytest.approx(-0.1, abs=0.03)
+
+
+def test_an_adjustment_to_an_absurd_camera_is_repeated_with_the_guess(
+    scene: "SyntheticScene", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    guess = replace(scene.camera, fx=520.0, fy=520.0, distortion=(0.0, 0.0, 0.0, 0.0))
+    problem, _ = measured(scene, guess, is_calibrated=False)
+    problem = replace(problem, priors=(IntrinsicsPrior(guess),))
+    state = triangulate(problem, initial_state(problem, (guess,), scene.Ts_world_cam), TriangulationConfig())
+    cameras, estimated = [], []
+
+    def absurd(own: Scene, before: SfmState, *others: object) -> SfmState:
+        cameras.append(before.cameras[0])
+        estimated.append(own.priors[0].estimated)
+        (camera,) = before.cameras
+        k1 = 2.2 if own.priors[0].estimated else 0.0
+        return replace(before, cameras=(replace(camera, distortion=(k1, 0.0, 0.0, 0.0)),))
+
+    monkeypatch.setattr("dronevio.estimator.sfm.mapper.adjust", absurd)
+    drifted = replace(state, cameras=(replace(guess, fx=700.0, fy=700.0),))
+    adjusted = _Mapper(problem, MapperConfig(), silent).adjust_all(drifted)
+    assert estimated == [2, 0]
+    assert cameras == [drifted.cameras[0], guess]
+    assert adjusted.cameras == (guess,)
 
 
 def test_fisheye_images_are_reconstructed(make_scene: "MakeScene") -> None:
