@@ -16,6 +16,7 @@ from dronevio.autonomy.pilot.explorer import Explorer, FlightListener, Outcome
 from dronevio.autonomy.pilot.flight_log import Decision, Plan, StageTimes, TimedFrames
 from dronevio.autonomy.pilot.moment import moved
 from dronevio.autonomy.pilot.tasks import Cover, ReachGoal, Task
+from dronevio.autonomy.planning.body import Body
 from dronevio.autonomy.ray_sensing import DriftingOdometry, RayCameras, RaySensing
 from dronevio.autonomy.settings import ExploreSettings
 from dronevio.autonomy.true_map import true_map
@@ -228,7 +229,7 @@ def _flown(
 ) -> Exploration:
     """Fly and score."""
     settings = settings or ExploreSettings()
-    covering = _Coverage(scenario)
+    covering = _Coverage(scenario, settings.body)
     space = flight_area(scenario.world, scenario.seed_of_world).space
     area = np.stack([space.low, space.high])
     task: Task = Cover(area, settings.views) if goal is None else ReachGoal(goal)
@@ -248,7 +249,8 @@ def _flown(
     occupancy = mapper.fused()
     # The clock of the course stands still while the vehicle waits on its pad.
     waited_ns = int(flight.truth.t_ns[-1]) - pilot.now_ns
-    scores = _scores(scenario, goal, flight, run, pilot, waited_ns, covering.share(occupancy, T_world_map))
+    covered_share = covering.share(occupancy, T_world_map)
+    scores = _scores(scenario, goal, settings.body, flight, run, pilot, waited_ns, covered_share)
     submaps, decisions, plans = mapper.submaps, tuple(pilot.decisions), tuple(pilot.plans)
     mapper.close()
     return Exploration(
@@ -274,6 +276,7 @@ def _flown(
 def _scores(
     scenario: Scenario,
     goal: Array | None,
+    body: Body,
     flight: Flight,
     run: EstimatorRun,
     pilot: Explorer,
@@ -300,7 +303,7 @@ def _scores(
         collided=flight.collision is not None,
         distance_to_goal_m=None if goal is None else float(np.linalg.norm(position[-1] - goal)),
         path_m=float(np.linalg.norm(steps, axis=1).sum()),
-        shortest_m=None if goal is None else _shortest_m(scenario, goal),
+        shortest_m=None if goal is None else _shortest_m(scenario, goal, body),
         time_s=float(truth.t_s[-1]),
         covered_share=covered_share,
         ate_m=ate_m,
@@ -313,18 +316,18 @@ def _start_of(scenario: Scenario) -> Array:
     return np.asarray(flight_area(scenario.world, scenario.seed_of_world).pad + [0.0, 0.0, HOVER_M])
 
 
-def _shortest_m(scenario: Scenario, goal: Array) -> float:
-    """Return the length of the shortest path to a goal (3,) on the true map [m]."""
+def _shortest_m(scenario: Scenario, goal: Array, body: Body) -> float:
+    """Return the length of the shortest path of a body to a goal (3,) on the true map [m]."""
     grid = true_map(solid_space(scenario.world, scenario.seed_of_world))
-    return shortest_m(grid, _start_of(scenario), goal)
+    return shortest_m(grid, _start_of(scenario), goal, body)
 
 
 class _Coverage:
     """Measures once a second how much of the places that the body reaches in truth is known to be free."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        """Find the places."""
-        self._places = reachable_places(scenario.world, scenario.seed_of_world, _start_of(scenario))
+    def __init__(self, scenario: Scenario, body: Body) -> None:
+        """Find the places that a body reaches."""
+        self._places = reachable_places(scenario.world, scenario.seed_of_world, _start_of(scenario), body)
         self.shares: list[tuple[float, float]] = []
 
     def __call__(self, depth: DepthImage, estimate: Estimate, pilot: Explorer) -> None:

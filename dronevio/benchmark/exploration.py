@@ -290,7 +290,7 @@ def _summary(group: str, world: str, rows: Sequence[Mapping[str, Any]]) -> Summa
     """Return the summary of rows."""
     good = [row for row in rows if has_reached(row)]
     collisions = sum(bool(row["collided"]) for row in rows)
-    ratios = [row["path_m"] / row["shortest_m"] for row in good]
+    ratios = [row["path_m"] / row["shortest_m"] for row in good if np.isfinite(row["shortest_m"])]
 
     def median(name: str) -> float:
         values = [row[name] for row in rows if row.get(name) is not None]

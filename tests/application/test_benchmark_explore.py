@@ -5,9 +5,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from scipy.stats import beta
 
+from dronevio.autonomy.exploration import _shortest_m, exploration_scenario
+from dronevio.autonomy.goals import drawn_goal
+from dronevio.autonomy.planning.body import Body
 from dronevio.benchmark import exploration
 from dronevio.benchmark.exploration import (
     GROUPS,
@@ -63,6 +67,19 @@ def test_summary_by_hand() -> None:
     low, high = beta.ppf(0.025, 2, 3), beta.ppf(0.975, 3, 2)  # Clopper and Pearson, 2 of 4
     assert found.reached_bounds == pytest.approx((low, high))
     assert found.collisions_bounds[0] == pytest.approx(beta.ppf(0.025, 1, 4))
+
+
+def test_a_flight_without_a_shortest_path_has_no_ratio() -> None:
+    (found,) = summaries([row(0), {**row(1), "shortest_m": np.inf}])
+    assert found.reached == 2 and found.path_ratio == pytest.approx(1.2)
+
+
+def test_the_shortest_path_is_that_of_the_body_that_flies() -> None:
+    """Doors of 0.9 m are passed by a body of 0.36 m radius, and not by one of 0.45 m."""
+    narrow = Body(0.36, 0.35)
+    scenario, goal = exploration_scenario("office-narrow", 1202), drawn_goal("office-narrow", 1202, 1202, narrow)
+    assert _shortest_m(scenario, goal, narrow) < 30.0
+    assert _shortest_m(scenario, goal, Body()) == np.inf
 
 
 def test_an_error_counts_as_a_failure() -> None:
