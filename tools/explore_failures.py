@@ -40,6 +40,7 @@ class Failure:
 FAILURES = (
     Failure("office", 1203, "lost", "a plain wall 0.5 m ahead: no track connects two images"),
     Failure("room", 1211, "unreachable", "eight cells before the goal in the corner cannot be seen"),
+    Failure("office-glass", 1203, "collision", "a wall of glass is not seen"),
 )
 """The flights of the picture."""
 

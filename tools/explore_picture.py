@@ -37,6 +37,8 @@ Picture = npt.NDArray[np.uint8]
 INTERVAL_NS, SHOWN_MS, LAST_MS = 400_000_000, 200, 2500
 """Time of the flight between two frames, and how long a frame and the last one are shown."""
 PX_PER_M, EDGE_M = 22.0, 0.3
+MAP_PX = np.array([448.0, 374.0])
+"""Width and height to which the map of a small world is enlarged [px]."""
 WIDTH_PX, GAP_PX = 800, 8
 COLOURS = 96
 UNKNOWN_GREY, FREE_GREY, OCCUPIED_GREY, PAPER_GREY, INK_GREY = 176, 255, 24, 24, 235
@@ -100,9 +102,10 @@ class Drawing:
         self._flight = flight
         area = flight_area(flight.scenario.world, flight.scenario.seed_of_world)
         self._low, high = area.space.low[:2] - EDGE_M, area.space.high[:2] + EDGE_M
-        width, height = (int(PX_PER_M * side) for side in high - self._low)
-        x = self._low[0] + (np.arange(width) + 0.5) / PX_PER_M
-        y = self._low[1] + (np.arange(height)[::-1] + 0.5) / PX_PER_M
+        self._scale = max(PX_PER_M, float((MAP_PX / (high - self._low)).min()))
+        width, height = (int(self._scale * side) for side in high - self._low)
+        x = self._low[0] + (np.arange(width) + 0.5) / self._scale
+        y = self._low[1] + (np.arange(height)[::-1] + 0.5) / self._scale
         z = area.pad[2] + ExploreSettings().height_m
         points = np.stack([*np.meshgrid(x, y), np.full((height, width), z)], axis=-1)
         T_map_world = inverse_pose(flight.T_world_map)
@@ -180,7 +183,7 @@ class Drawing:
 
     def _px(self, points: Array) -> npt.NDArray[np.int32]:
         """Return the pixels (N, 2) of points (N, 2 or 3) of the world."""
-        u, v = ((points[:, :2] - self._low) * PX_PER_M).T
+        u, v = ((points[:, :2] - self._low) * self._scale).T
         return np.asarray(np.rint(np.stack([u, self._size[1] - 1 - v], axis=1)), np.int32)
 
     def _line(self, picture: Picture, points: Array, colour: tuple[int, int, int], width_px: int) -> None:
