@@ -39,7 +39,7 @@ INTERVAL_NS, SHOWN_MS, LAST_MS = 400_000_000, 200, 2500
 PX_PER_M, EDGE_M = 22.0, 0.3
 MAP_PX = np.array([448.0, 374.0])
 """Width and height to which the map of a small world is enlarged [px]."""
-WIDTH_PX, GAP_PX = 800, 8
+WIDTH_PX, GAP_PX, CAPTION_PX = 800, 8, 132
 COLOURS = 96
 UNKNOWN_GREY, FREE_GREY, OCCUPIED_GREY, PAPER_GREY, INK_GREY = 176, 255, 24, 24, 235
 GREEN, BLUE, ORANGE = (0, 140, 100), (0, 114, 178), (213, 94, 0)
@@ -118,10 +118,10 @@ class Drawing:
     def picture(self, moment: Moment) -> Picture:
         """Return a frame (H, W, 3)."""
         width, height = self._size
-        picture = np.full((height, WIDTH_PX, 3), PAPER_GREY, np.uint8)
-        picture[:, :width] = self._map(moment)
         image_width = WIDTH_PX - width - GAP_PX
         image_height = round(moment.image.shape[0] * image_width / moment.image.shape[1])
+        picture = np.full((max(height, image_height + CAPTION_PX), WIDTH_PX, 3), PAPER_GREY, np.uint8)
+        picture[:height, :width] = self._map(moment)
         image = cv2.resize(moment.image, (image_width, image_height), interpolation=cv2.INTER_AREA)
         picture[:image_height, width + GAP_PX :] = image[..., None]
         return self._captioned(picture, moment, (width + GAP_PX + 4, image_height + 14))
