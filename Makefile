@@ -53,6 +53,7 @@ pictures: setup
 	.venv/bin/python tools/dense_picture.py
 	.venv/bin/python tools/map_picture.py
 	.venv/bin/python tools/explore_picture.py
+	.venv/bin/python tools/explore_failures.py
 	.venv/bin/python tools/environment_pictures.py
 	.venv/bin/python tools/pictures.py --run build/pictures/0
 
