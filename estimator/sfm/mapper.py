@@ -233,7 +233,7 @@ class _Mapper:
         state = triangulate(scene, initial_state(scene, cameras, Ts_world_cam), self.config.triangulation)
         if state.has_point.sum() < MIN_POINTS:
             return None
-        state = self.clean(self.adjust_all(state))
+        state = self.clean(self.adjust_growing(state))
         is_plausible = all(
             1.0 / MAX_FOCAL_CHANGE < camera.fx / max(camera.width, camera.height) < MAX_FOCAL_CHANGE
             for camera in state.cameras
@@ -319,33 +319,31 @@ class _Mapper:
         kept[scene.tracks.track[order[rank < INTERMEDIATE_OBSERVATIONS]]] = True
         return np.asarray(used & kept[scene.tracks.track])
 
-    def adjust_all(self, state: SfmState, config: BundleAdjustmentConfig = INTERMEDIATE_ADJUSTMENT) -> SfmState:
+    def adjust_all(self, state: SfmState, config: BundleAdjustmentConfig) -> SfmState:
         """Adjust the whole reconstruction on a subset of its observations, with a robust loss."""
-        subset = self._subset(state.used(self.scene))
-        adjusted = adjust(self.scene, state, subset, config)
-        if config is INTERMEDIATE_ADJUSTMENT:
-            adjusted = self._plausible(adjusted, state, subset)
+        adjusted = adjust(self.scene, state, self._subset(state.used(self.scene)), config)
         return repair(self.scene, adjusted, self.config.triangulation)
 
-    def _plausible(self, adjusted: SfmState, state: SfmState, subset: Mask) -> SfmState:
-        """Return an adjusted state, or if an estimated camera in it is not plausible, the one with this camera held.
+    def adjust_growing(self, state: SfmState) -> SfmState:
+        """Do the same while the reconstruction grows; cameras that leave their prior are set back to the first guess.
 
         Few images, or a camera that flies straight ahead, may determine the intrinsics so badly that they leave their
         prior, and the images that follow are registered by a wrong structure.
         """
         scene = self.scene
-        wild = [
+        adjusted = self.adjust_all(state, INTERMEDIATE_ADJUSTMENT)
+        implausible = [
             k
             for k, prior in enumerate(scene.priors)
             if not scene.is_calibrated[k] and not prior.is_plausible(adjusted.cameras[k])
         ]
-        if not wild:
+        if not implausible:
             return adjusted
         priors, cameras = list(scene.priors), list(state.cameras)
-        for k in wild:
+        for k in implausible:
             priors[k], cameras[k] = replace(priors[k], estimated=0), priors[k].camera
-        held = replace(scene, priors=tuple(priors))
-        return adjust(held, replace(state, cameras=tuple(cameras)), subset, INTERMEDIATE_ADJUSTMENT)
+        held = replace(self, scene=replace(scene, priors=tuple(priors)))
+        return held.adjust_all(replace(state, cameras=tuple(cameras)), INTERMEDIATE_ADJUSTMENT)
 
     def clean(self, state: SfmState) -> SfmState:
         """Remove outliers and points that are not determined."""
@@ -353,7 +351,7 @@ class _Mapper:
 
     def _refine(self, state: SfmState) -> SfmState:
         """Complete, adjust and filter the whole reconstruction."""
-        return self.clean(self.adjust_all(complete(self.scene, state, self.config.triangulation)))
+        return self.clean(self.adjust_growing(complete(self.scene, state, self.config.triangulation)))
 
     def _discard(self, state: SfmState, discards: Indices) -> SfmState:
         """Remove images with a wrong pose, which contradicts many of the points that they observe.

@@ -137,7 +137,7 @@ def test_an_adjustment_to_an_absurd_camera_is_repeated_with_the_guess(
 
     monkeypatch.setattr("dronevio.estimator.sfm.mapper.adjust", absurd)
     drifted = replace(state, cameras=(replace(guess, fx=700.0, fy=700.0),))
-    adjusted = _Mapper(problem, MapperConfig(), silent).adjust_all(drifted)
+    adjusted = _Mapper(problem, MapperConfig(), silent).adjust_growing(drifted)
     assert estimated == [2, 0]
     assert cameras == [drifted.cameras[0], guess]
     assert adjusted.cameras == (guess,)
