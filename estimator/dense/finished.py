@@ -103,7 +103,7 @@ def settings_hash(config: DenseConfig) -> str:
     return digest(config.depth, config.consistency.min_correlation)
 
 
-def held_depths(
+def reusable_depths(
     load: ViewLoader, names: Sequence[str], finished: Mapping[str, FinishedDepth], config: DenseConfig
 ) -> dict[int, FinishedDepth]:
     """Return the depth maps of an earlier result that hold, by the indices of their images.

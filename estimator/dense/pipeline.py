@@ -18,7 +18,7 @@ from dronevio.estimator.dense.config import DenseConfig
 from dronevio.estimator.dense.consistency import PosedDepth, consistent_depth
 from dronevio.estimator.dense.depth import estimate_depth
 from dronevio.estimator.dense.directions import dominant_normals
-from dronevio.estimator.dense.finished import FinishedDepth, held_depths, settings_hash
+from dronevio.estimator.dense.finished import FinishedDepth, reusable_depths, settings_hash
 from dronevio.estimator.dense.fusion import fuse
 from dronevio.estimator.dense.mesh import build_mesh
 from dronevio.estimator.dense.neighbours import observed_points, select_neighbours
@@ -49,8 +49,8 @@ class DenseResult:
     """(I,) Consistent depths of the undistorted images of the reconstruction."""
     times_s: dict[str, float]
     """Elapsed time of each stage [s]."""
-    held: int = 0
-    """Number of depth maps of an earlier result that were used again."""
+    reused: int = 0
+    """Number of depth maps of an earlier result that were reused."""
 
 
 @single_threaded()
@@ -87,8 +87,8 @@ def densify(
     load = ViewLoader(images, reconstruction, config.views)
     neighbours = select_neighbours(reconstruction, config.views)
     times = [time.perf_counter()]
-    held = held_depths(load, reconstruction.image_names, finished or {}, config)
-    depths = estimate_depths(load, reconstruction, neighbours, config, stages("depth maps"), store, held)
+    reused = reusable_depths(load, reconstruction.image_names, finished or {}, config)
+    depths = estimate_depths(load, reconstruction, neighbours, config, stages("depth maps"), store, reused)
     times.append(time.perf_counter())
     consistent = filter_depths(depths, neighbours, config, stages("consistency"))
     spacing = config.spacing_px * pixel_size(consistent)
@@ -99,7 +99,7 @@ def densify(
     times.append(time.perf_counter())
     elapsed = np.diff(times).tolist()
     times_s = dict(zip(("depth maps", "fusion", "mesh"), elapsed, strict=True))
-    return DenseResult(cloud, mesh, spacing, volume.voxel, tuple(consistent), times_s, len(held))
+    return DenseResult(cloud, mesh, spacing, volume.voxel, tuple(consistent), times_s, len(reused))
 
 
 def estimate_depths(
@@ -109,7 +109,7 @@ def estimate_depths(
     config: DenseConfig,
     progress: Progress = silent,
     store: ArrayStore | None = None,
-    held: Mapping[int, FinishedDepth] | None = None,
+    reused: Mapping[int, FinishedDepth] | None = None,
 ) -> list[PosedDepth]:
     """Return the depth map of each image, without the depths at which the images correlate too little.
 
@@ -120,9 +120,9 @@ def estimate_depths(
         config: Settings.
         progress: Called with the number of finished depth maps.
         store: Where depth maps are kept; an earlier one is used if its images, cameras and settings are the same.
-        held: Depth maps of an earlier result by the indices of their images, which are used again.
+        reused: Depth maps of an earlier result by the indices of their images.
     """
-    store, held = store or ArrayStore(), held or {}
+    store, reused = store or ArrayStore(), reused or {}
     normals = dominant_normals(reconstruction.points, config.depth.directions)
 
     def estimate(i: int) -> PosedDepth:
@@ -131,9 +131,9 @@ def estimate_depths(
         if not len(neighbours[i]) or not len(points):
             return PosedDepth(camera, T, np.zeros((camera.height, camera.width), np.float32))
         file = f"depth-{i:06d}.npz"
-        if i in held:
-            store.save(file, "", **held[i].arrays())
-            return PosedDepth(camera, T, held[i].inverse_depth)
+        if i in reused:
+            store.save(file, "", **reused[i].arrays())
+            return PosedDepth(camera, T, reused[i].inverse_depth)
         reference, sources = load(i), [load(int(j)) for j in neighbours[i]]
         threshold = config.consistency.min_correlation
         inputs = chain.from_iterable(view.inputs() for view in (reference, *sources))

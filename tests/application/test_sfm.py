@@ -362,11 +362,11 @@ def test_surfaces_of_the_villa(
     # Depth maps that are kept are used again
     assert main(["dense", str(scene), "--out", str(tmp_path / "kept"), "--keep-depths", *small]) == 0
     assert len(list((tmp_path / "kept" / "depths").iterdir())) == summary["images"]
-    assert json.loads(capsys.readouterr().out)["used_again"] == 0
+    assert json.loads(capsys.readouterr().out)["reused"] == 0
     earlier = ["--add-to", str(tmp_path / "kept")]
     assert main(["dense", str(scene), "--out", str(tmp_path / "again"), *earlier, *small]) == 0
     again = json.loads(capsys.readouterr().out)
-    assert (again["used_again"], again["points"]) == (summary["images"], summary["points"])
+    assert (again["reused"], again["points"]) == (summary["images"], summary["points"])
     assert main(["dense", str(scene), "--out", str(tmp_path / "other"), "--add-to", str(tmp_path / "dense")]) == 2
     assert "no depth maps; expected the result of `dronevio dense --keep-depths`" in capsys.readouterr().err
     assert main(["dense", str(reconstructed), "--component", "3", "--out", str(tmp_path / "other")]) == 2

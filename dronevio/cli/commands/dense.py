@@ -196,7 +196,7 @@ def _summary(target: Path, result: "DenseResult") -> dict[str, Any]:
     return {
         "out": str(target),
         "images": len(result.depths),
-        "used_again": result.held,
+        "reused": result.reused,
         "points": len(result.cloud),
         "vertices": len(result.mesh.vertices),
         "triangles": len(result.mesh.triangles),
@@ -219,7 +219,7 @@ def _print(target: Path, command: DenseCommand, result: "DenseResult") -> None:
         "Surfaces",
         (
             ("images", f"{len(result.depths)}", ""),
-            *((("depth maps used again", f"{result.held}", ""),) if command.add_to else ()),
+            *((("depth maps reused", f"{result.reused}", ""),) if command.add_to else ()),
             ("points", f"{len(result.cloud)}", ""),
             ("triangles of the mesh", f"{len(result.mesh.triangles)}", ""),
             *((stage, f"{seconds:.1f}", "s") for stage, seconds in result.times_s.items()),

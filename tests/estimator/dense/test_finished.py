@@ -9,7 +9,7 @@ import pytest
 
 from dronevio.estimator.array_store import ArrayStore
 from dronevio.estimator.dense.config import DenseConfig, DepthConfig, MeshConfig
-from dronevio.estimator.dense.finished import FinishedDepth, held_depths, read_finished
+from dronevio.estimator.dense.finished import FinishedDepth, reusable_depths, read_finished
 from dronevio.estimator.dense.pipeline import densify
 from dronevio.estimator.dense.views import ViewLoader
 from dronevio.models.errors import InputError
@@ -38,7 +38,7 @@ def held(scene: Scene, finished: dict[str, FinishedDepth], config: DenseConfig =
     """Return the images whose depth maps are used again after changes of the reconstruction."""
     reconstruction = replace(scene.reconstruction, **changes)
     load = ViewLoader(scene.images, reconstruction, config.views)
-    return list(held_depths(load, reconstruction.image_names, finished, config))
+    return list(reusable_depths(load, reconstruction.image_names, finished, config))
 
 
 def test_the_same_scene_needs_no_new_depth_map(
@@ -48,7 +48,7 @@ def test_the_same_scene_needs_no_new_depth_map(
     first = densify(slanted.images, slanted.reconstruction, SMALL)
     monkeypatch.delattr("dronevio.estimator.dense.pipeline.estimate_depth")
     again = densify(slanted.images, slanted.reconstruction, SMALL, finished=finished)
-    assert (first.held, again.held) == (0, 5)
+    assert (first.reused, again.reused) == (0, 5)
     np.testing.assert_array_equal(first.cloud.points, again.cloud.points)
 
 
@@ -80,11 +80,13 @@ def test_other_images_and_settings(slanted: Scene, finished: dict[str, FinishedD
     changed = replace(slanted.images, read=pictures.__getitem__)
     load = ViewLoader(changed, slanted.reconstruction, SMALL.views)
     uses_first = [k for k, depth in enumerate(finished.values()) if "0.png" in depth.names]
-    found = held_depths(load, slanted.reconstruction.image_names, finished, SMALL)
+    found = reusable_depths(load, slanted.reconstruction.image_names, finished, SMALL)
     assert list(found) == [k for k in range(5) if k not in uses_first]
     assert held(slanted, finished, replace(SMALL, depth=DepthConfig(levels=2, window_px=9))) == []
     renamed = tuple(f"new/{name}" for name in slanted.reconstruction.image_names)
-    assert held_depths(ViewLoader(slanted.images, slanted.reconstruction, SMALL.views), renamed, finished, SMALL) == {}
+    assert (
+        reusable_depths(ViewLoader(slanted.images, slanted.reconstruction, SMALL.views), renamed, finished, SMALL) == {}
+    )
 
 
 def test_depth_maps_used_again_are_kept_again(slanted: Scene, folder: Path, tmp_path: Path) -> None:
