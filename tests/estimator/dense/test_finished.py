@@ -9,7 +9,7 @@ import pytest
 
 from dronevio.estimator.array_store import ArrayStore
 from dronevio.estimator.dense.config import DenseConfig, DepthConfig, MeshConfig
-from dronevio.estimator.dense.finished import FinishedDepth, reusable_depths, read_finished
+from dronevio.estimator.dense.finished import FinishedDepth, read_finished, reusable_depths
 from dronevio.estimator.dense.pipeline import densify
 from dronevio.estimator.dense.views import ViewLoader
 from dronevio.models.errors import InputError
