@@ -1,7 +1,9 @@
 """Errors that are caused by input or settings, and that the user can correct."""
 
+import copyreg
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 DEFECT = "a defect in dronevio"
 """Name, in messages, of a failure that the user did not cause: an unexpected exception, or a worker that dies."""
@@ -13,6 +15,10 @@ class DefectError(Exception):
 
 class DronevioError(Exception):
     """Base class of all errors that the user can correct; the command line prints them on one line and exits with 2."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle message and attributes, since those of a worker process are raised again in its parent."""
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
 class InputError(DronevioError):
