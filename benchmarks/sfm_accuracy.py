@@ -103,13 +103,17 @@ def true_positions(truth: Trajectory, images: ImageSet) -> tuple[Array, npt.NDAr
 
 
 def moving_frames(recording: Recording, count: int) -> npt.NDArray[np.int64]:
-    """Return the indices of some moving frames, spread evenly, at which there is a true pose."""
-    truth = recording.ground_truth
-    assert truth is not None
-    assert truth.velocity_m_s is not None
-    rows = np.flatnonzero(np.isin(recording.frame_times_ns, truth.t_ns))
-    speed = np.linalg.norm(truth.velocity_m_s[np.searchsorted(truth.t_ns, recording.frame_times_ns[rows])], axis=1)
-    moving = rows[speed > MIN_SPEED_M_S]
+    """Return the indices of some moving frames, spread evenly, at which the true pose is known or can be interpolated.
+
+    Raises:
+        ValueError: The recording has fewer such frames.
+    """
+    assert recording.ground_truth is not None
+    true, rows = interpolate(recording.ground_truth, recording.frame_times_ns)
+    assert true.velocity_m_s is not None
+    moving = rows[np.linalg.norm(true.velocity_m_s, axis=1) > MIN_SPEED_M_S]
+    if len(moving) < count:
+        raise ValueError(f"{len(moving)} moving frames with a true pose; expected at least {count}")
     return np.asarray(moving[np.round(np.linspace(0, len(moving) - 1, count)).astype(np.int64)])
 
 

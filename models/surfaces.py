@@ -45,6 +45,25 @@ class PointCloud:
 
 
 @dataclass(frozen=True, eq=False)
+class Texture:
+    """An image on the triangles of a mesh. At a seam, a vertex has more than one pixel."""
+
+    image: Image
+    """(H, W, 3) Red, green and blue."""
+    pixels: Array
+    """(T, 2) Column and row of each pixel that belongs to a vertex; pixel centres have integer coordinates."""
+    vertices: Triangles
+    """(T,) Index of the vertex to which each pixel belongs."""
+    triangles: Triangles
+    """(F, 3) Indices of the pixels of each triangle's corners, in the order of the triangle's vertices."""
+
+    def coordinates(self) -> Array:
+        """Return the pixels (T, 2) as shares of width and height, from the upper left corner of the image."""
+        height, width = self.image.shape[:2]
+        return np.asarray((self.pixels + 0.5) / [width, height])
+
+
+@dataclass(frozen=True, eq=False)
 class Mesh:
     """Triangles between N vertices."""
 
@@ -56,6 +75,8 @@ class Mesh:
     """(N, 3) Colours of the vertices: red, green, blue."""
     triangles: Triangles
     """(F, 3) Indices of the vertices of each triangle, counterclockwise as seen from the side of the normals."""
+    texture: Texture | None = None
+    """Image on the triangles; None if the vertices alone have colours."""
 
     def __post_init__(self) -> None:
         """Check shapes and indices.
@@ -71,6 +92,10 @@ class Mesh:
                 f"mesh: triangles have values from {self.triangles.min()} to {self.triangles.max()};"
                 f" expected 0 to {count - 1}"
             )
+        if self.texture is not None:
+            corners = self.texture.triangles
+            if corners.shape != self.triangles.shape or np.any(self.texture.vertices[corners] != self.triangles):
+                raise ConfigError("mesh: the corners of its texture are not those of its triangles; expected the same")
 
     def transformed(self, scale: float, R: Array, t: Array) -> Self:
         """Return the mesh in a new world frame, as `Reconstruction.transformed` does."""

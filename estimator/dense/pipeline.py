@@ -20,9 +20,9 @@ from dronevio.estimator.dense.depth import estimate_depth
 from dronevio.estimator.dense.directions import dominant_normals
 from dronevio.estimator.dense.finished import FinishedDepth, reusable_depths, settings_hash
 from dronevio.estimator.dense.fusion import fuse
-from dronevio.estimator.dense.mesh import build_mesh
+from dronevio.estimator.dense.meshing.mesh import build_mesh
 from dronevio.estimator.dense.neighbours import observed_points, select_neighbours
-from dronevio.estimator.dense.tsdf import integrate, pixel_size
+from dronevio.estimator.dense.meshing.tsdf import integrate, pixel_size
 from dronevio.estimator.dense.views import ViewLoader
 from dronevio.estimator.threads import map_with_progress, single_threaded
 from dronevio.models.image_sets import ImageSet

@@ -8,8 +8,8 @@ from scipy.spatial import cKDTree
 from dronevio.estimator.dense.config import MeshConfig
 from dronevio.estimator.dense.consistency import PosedDepth
 from dronevio.estimator.dense.fusion import fuse
-from dronevio.estimator.dense.mesh import build_mesh
-from dronevio.estimator.dense.tsdf import integrate
+from dronevio.estimator.dense.meshing.mesh import build_mesh
+from dronevio.estimator.dense.meshing.tsdf import integrate
 from dronevio.estimator.mapping.keyframe_depths import KeptDepth
 from dronevio.models.arrays import Array, Floats
 from dronevio.models.progress import Progress, silent
@@ -27,7 +27,7 @@ def surfaces(
 ) -> tuple[PointCloud, Mesh]:
     """Return the surfaces of depth images as points and as a mesh, in the map frame.
 
-    The mesh is the zero level of their truncated signed distance function; see `dronevio.estimator.dense.tsdf`. Voxels
+    The mesh is the zero level of their truncated signed distance function; see `dronevio.estimator.dense.meshing.tsdf`. Voxels
     that few images have seen have no surface, and neither have small separate parts. The points are means in voxels, of
     which those beside the mesh are left out.
 

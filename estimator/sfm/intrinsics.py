@@ -90,8 +90,7 @@ def self_calibration(prior: IntrinsicsPrior, covariance: Array | None) -> SelfCa
     """
     sigmas = np.empty(0) if covariance is None else np.sqrt(np.diag(covariance))
     if not prior.is_pinhole:
-        own = sigmas[[0, 5, 6, 7, 8]] if len(sigmas) else sigmas
-        return SelfCalibration(dict(zip(("f", "k1", "k2", "k3", "k4"), own.tolist(), strict=False)))
+        return SelfCalibration(dict(zip(("f", "k1", "k2", "k3", "k4"), sigmas.tolist(), strict=False)))
     estimated = _NAMES[: prior.estimated]
     return SelfCalibration(dict(zip(estimated, sigmas.tolist(), strict=False)), _NAMES[prior.estimated :])
 

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 Indices = npt.NDArray[np.int64]
 
@@ -93,6 +93,7 @@ def connect_tracks(pairs: Sequence[MatchedPair], feature_counts: Indices) -> Tra
     counts = [len(pair.matches) for pair in pairs]
     triangles = _triangles(edges, total)
     support = np.repeat(counts, counts) * (triangles.max(initial=0) + 1) + triangles
+    edges, support = _spanning_forest(edges, support, total)
     consistent = [np.empty((0, 2), np.int64)]
     while len(edges):
         # Only the features of inconsistent components are left, and numbered anew.
@@ -116,6 +117,17 @@ def connect_tracks(pairs: Sequence[MatchedPair], feature_counts: Indices) -> Tra
     nodes = used[order]
     _, track = np.unique(labels[nodes], return_inverse=True)
     return Tracks(image_of[nodes], nodes - offsets[image_of[nodes]], track.astype(np.int64))
+
+
+def _spanning_forest(edges: Indices, support: Indices, total: int) -> tuple[Indices, Indices]:
+    """Return the edges of a maximum spanning forest with their support.
+
+    Whatever the least support of the edges that are kept, its components are those of all edges.
+    """
+    cost = (support.max() + 1 - support).astype(np.float64)
+    graph = coo_array((cost, (edges[:, 0], edges[:, 1])), shape=(total, total)).tocsr()
+    forest = minimum_spanning_tree(graph).tocoo()
+    return np.column_stack(forest.coords).astype(np.int64), (support.max() + 1 - forest.data).astype(np.int64)
 
 
 def _components(edges: Indices, total: int) -> Indices:

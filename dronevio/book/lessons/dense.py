@@ -317,7 +317,7 @@ plt.show()
 
 # %%
 from dronevio.estimator.dense.fusion import fuse
-from dronevio.estimator.dense.tsdf import pixel_size
+from dronevio.estimator.dense.meshing.tsdf import pixel_size
 
 coloured = ((one, load(i).colours) for i, one in enumerate(consistent))
 cloud = fuse(coloured, spacing=pixel_size(consistent))
@@ -386,15 +386,15 @@ plt.show()
 #
 # is positive in front of the surface and negative behind it, with the
 # truncation distance $\tau$. The surface is where $D = 0$; voxels behind by
-# more than $\tau$ are not updated. `dronevio.estimator.dense.tsdf.integrate`
+# more than $\tau$ are not updated. `dronevio.estimator.dense.meshing.tsdf.integrate`
 # computes the function in blocks near the surface,
-# `dronevio.estimator.dense.surface_nets.surface_nets` its zero level, and
-# `dronevio.estimator.dense.mesh.build_mesh` the mesh with colours.
+# `dronevio.estimator.dense.meshing.surface_nets.surface_nets` its zero level, and
+# `dronevio.estimator.dense.meshing.mesh.build_mesh` the mesh with colours.
 
 # %%
 from dronevio.estimator.dense.config import MeshConfig
-from dronevio.estimator.dense.mesh import build_mesh
-from dronevio.estimator.dense.tsdf import integrate
+from dronevio.estimator.dense.meshing.mesh import build_mesh
+from dronevio.estimator.dense.meshing.tsdf import integrate
 
 volume = integrate(consistent, MeshConfig())
 mesh = build_mesh(volume, cloud, MeshConfig().min_triangles)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.sfm.adjustment import BundleAdjustmentConfig, adjust
-from dronevio.estimator.sfm.normalized import normalized
 from dronevio.estimator.sfm.pipeline import reconstruct
 from dronevio.eval.metrics.alignment import umeyama
 from dronevio.models.camera import CameraModel
@@ -22,18 +21,6 @@ OMNI = CameraModel(640, 480, 800.0, 802.0, 319.5, 238.0, (1.6, -0.2, 0.1, 1e-3, 
 EUCM = CameraModel(640, 640, 230.0, 231.0, 319.5, 318.0, (0.63, 1.04), "eucm")
 FOV = CameraModel(640, 480, 300.0, 302.0, 319.5, 238.0, (0.93,), "fov")
 RATIONAL = CameraModel(640, 480, 420.0, 422.0, 319.5, 238.0, (0.4, 0.05, 5e-4, -5e-4, 0.001, 0.5, 0.1, 0.002))
-
-
-@pytest.mark.parametrize("camera", [DS, OMNI, EUCM, FOV, RATIONAL], ids=lambda camera: camera.lens)
-def test_the_noise_of_normalized_coordinates_is_that_of_pixels(camera: CameraModel) -> None:
-    pixels = np.random.default_rng(0).uniform([20.0, 20.0], [620.0, 460.0], (100, 2))
-    xy, derivative = normalized(camera, pixels)
-    seen = np.isfinite(xy).all(axis=1)
-    assert seen.sum() > 90
-    shift = np.array([0.003, -0.002])  # px
-    moved = xy[seen] + derivative[seen] @ shift
-    p = np.column_stack([moved, np.ones(len(moved))])
-    np.testing.assert_allclose(camera.project(p), pixels[seen] + shift, atol=1e-5)
 
 
 @pytest.mark.parametrize("camera", [DS, OMNI, RATIONAL], ids=lambda camera: camera.lens)

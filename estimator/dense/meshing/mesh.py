@@ -6,8 +6,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from dronevio.estimator.dense.surface_nets import surface_nets
-from dronevio.estimator.dense.tsdf import Volume
+from dronevio.estimator.dense.meshing.surface_nets import surface_nets
+from dronevio.estimator.dense.meshing.tsdf import Volume
 from dronevio.models.arrays import Array
 from dronevio.models.surfaces import Mesh, PointCloud
 

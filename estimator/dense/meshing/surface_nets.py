@@ -8,7 +8,7 @@ nets", MICCAI 1998, without the relaxation. Unlike marching cubes it needs no ta
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.dense.tsdf import BLOCK, Volume
+from dronevio.estimator.dense.meshing.tsdf import BLOCK, Volume
 from dronevio.models.arrays import Array, Floats
 
 Indices = npt.NDArray[np.int64]

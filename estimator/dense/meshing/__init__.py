@@ -1,0 +1,1 @@
+"""Meshes of a scene: signed distances of depth maps, the triangles of their zero level, and a texture."""
