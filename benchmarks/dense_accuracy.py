@@ -35,9 +35,9 @@ from dronevio.cli import main as dronevio
 from dronevio.estimator.dense.config import DenseConfig
 from dronevio.estimator.dense.consistency import PosedDepth
 from dronevio.estimator.dense.fusion import fuse, surface_normals
+from dronevio.estimator.dense.meshing.tsdf import pixel_size
 from dronevio.estimator.dense.neighbours import observed_points, select_neighbours
 from dronevio.estimator.dense.pipeline import densify, estimate_depths, filter_depths
-from dronevio.estimator.dense.meshing.tsdf import pixel_size
 from dronevio.estimator.dense.views import View, ViewLoader
 from dronevio.estimator.sfm.pipeline import reconstruct
 from dronevio.eval.metrics.alignment import umeyama

@@ -215,6 +215,7 @@ def dense(
     *,
     workspace: str | Path | None = None,
     finished: Mapping[str, FinishedDepth] | None = None,
+    with_texture: bool = False,
 ) -> DenseResult:
     """Compute the surfaces of a scene from images with known cameras (multi-view stereo).
 
@@ -226,6 +227,7 @@ def dense(
         workspace: Folder in which depth maps are kept; with it, an interrupted computation continues.
         finished: Depth maps of an earlier result of some of the images, which are used again where the cameras have
             hardly moved: what `dronevio.estimator.dense.finished.read_finished` reads from an earlier workspace.
+        with_texture: Whether the mesh gets a texture from the images, which GLB and OBJ files store.
 
     Returns:
         The points with normals and colours, a mesh, and the depth map of each image.
@@ -239,4 +241,4 @@ def dense(
             raise InputError("images", "a reconstruction without components", "at least one registered image")
         reconstruction = reconstruction.reconstructions[0]
     store = ArrayStore(None if workspace is None else Path(workspace))
-    return densify(opened, reconstruction, config, store=store, finished=finished)
+    return densify(opened, reconstruction, config, store=store, finished=finished, with_texture=with_texture)

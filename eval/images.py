@@ -19,13 +19,6 @@ def downscaled(image: Image, longest_side: int) -> Image:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def jpeg(image: Image, quality: int = 80) -> bytes:
-    """Return an image as the bytes of a JPEG file, with a quality from 0 to 100."""
-    in_order = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    _, data = cv2.imencode(".jpg", in_order, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return bytes(data.tobytes())
-
-
 def depth_colours(inverse_depth: Floats) -> Image:
     """Return a picture (H, W, 3) of inverse depths (H, W): red is near, blue far, black unknown."""
     known = inverse_depth > 0.0

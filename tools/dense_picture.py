@@ -16,9 +16,10 @@ import tyro
 import dronevio as dv
 from dronevio.estimator.dense.config import DenseConfig
 from dronevio.estimator.dense.views import ViewLoader
-from dronevio.eval.images import depth_colours, downscaled, jpeg
+from dronevio.eval.images import depth_colours, downscaled
 from dronevio.eval.report.dense import DenseResults, pictures
 from dronevio.models.image_sets import image_folder
+from dronevio.models.recordings.images import encode_jpeg
 
 WIDTH_PX = 1280
 """Width of the picture [px]."""
@@ -50,7 +51,7 @@ def make(command: DensePictureCommand) -> None:
     upper = np.hstack([load(2).colours, depth_colours(result.depths[2].inverse_depth)])
     lower = np.hstack(pictures(results))
     rows = [cv2.resize(row, (WIDTH_PX, row.shape[0] * WIDTH_PX // row.shape[1])) for row in (upper, lower)]
-    command.out.write_bytes(jpeg(downscaled(np.vstack(rows), 2 * WIDTH_PX), quality=88))
+    command.out.write_bytes(encode_jpeg(downscaled(np.vstack(rows), 2 * WIDTH_PX), quality=88))
 
 
 if __name__ == "__main__":

@@ -21,8 +21,9 @@ from dronevio.estimator.dense.directions import dominant_normals
 from dronevio.estimator.dense.finished import FinishedDepth, reusable_depths, settings_hash
 from dronevio.estimator.dense.fusion import fuse
 from dronevio.estimator.dense.meshing.mesh import build_mesh
-from dronevio.estimator.dense.neighbours import observed_points, select_neighbours
+from dronevio.estimator.dense.meshing.texture import textured
 from dronevio.estimator.dense.meshing.tsdf import integrate, pixel_size
+from dronevio.estimator.dense.neighbours import observed_points, select_neighbours
 from dronevio.estimator.dense.views import ViewLoader
 from dronevio.estimator.threads import map_with_progress, single_threaded
 from dronevio.models.image_sets import ImageSet
@@ -61,6 +62,8 @@ def densify(
     stages: Stages = silent_stages,
     store: ArrayStore | None = None,
     finished: Mapping[str, FinishedDepth] | None = None,
+    *,
+    with_texture: bool = False,
 ) -> DenseResult:
     """Return the surfaces of a scene from images with known cameras.
 
@@ -79,6 +82,7 @@ def densify(
         stages: Returns the progress callback of a stage by its name.
         store: Where depth maps are kept; an earlier one is used if its images, cameras and settings are the same.
         finished: Depth maps of an earlier result by the names of their images, which are used again where they hold.
+        with_texture: Whether the mesh gets a texture from the images, at their full resolution.
 
     Raises:
         InputError: A registered image is not among the images, or cannot be read.
@@ -97,8 +101,11 @@ def densify(
     volume = integrate(consistent, config.mesh, stages("mesh"))
     mesh = build_mesh(volume, cloud, config.mesh.min_triangles)
     times.append(time.perf_counter())
+    if with_texture:
+        mesh = textured(mesh, load, consistent, volume.voxel, config.mesh.texture_px, stages("texture"))
+        times.append(time.perf_counter())
     elapsed = np.diff(times).tolist()
-    times_s = dict(zip(("depth maps", "fusion", "mesh"), elapsed, strict=True))
+    times_s = dict(zip(("depth maps", "fusion", "mesh", "texture"), elapsed, strict=False))
     return DenseResult(cloud, mesh, spacing, volume.voxel, tuple(consistent), times_s, len(reused))
 
 

@@ -1,7 +1,7 @@
 """Undistorted images with their poses, the input of multi-view stereo."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import cv2
@@ -55,6 +55,20 @@ class View:
         return View(camera, self.T_world_cam, reduced(self.grey), mask, colours)
 
 
+def undistorted_camera(model: CameraModel, config: ViewConfig) -> Pinhole:
+    """Return the camera of the undistorted images of a camera.
+
+    They have the resolution of the camera at its centre, reduced to the largest size. They extend to the middle of each
+    side of the image, but not beyond the largest angle; stretched corners are cut.
+    """
+    low, high = model.normalized_bounds(np.tan(np.radians(config.max_angle_deg)))
+    full = np.array(model.central_focal_px) * (high - low)
+    f = min(1.0, config.max_side_px / float(full.max())) * np.array(model.central_focal_px)
+    width, height = (max(8, int(n)) for n in np.floor(f * (high - low)))
+    cx, cy = -f * low - 0.5
+    return Pinhole(width, height, np.array([[f[0], 0.0, cx], [0.0, f[1], cy], [0.0, 0.0, 1.0]]))
+
+
 @dataclass(frozen=True, eq=False)
 class Undistortion:
     """Map from the pixels of an undistorted image to those of the image of a camera."""
@@ -70,18 +84,9 @@ class Undistortion:
 
     @classmethod
     def of(cls, model: CameraModel, config: ViewConfig) -> "Undistortion":
-        """Return the undistortion of a camera.
-
-        The undistorted image has the resolution of the camera at its centre, reduced to the largest size. It extends to
-        the middle of each side of the image, but not beyond the largest angle; stretched corners are cut.
-        """
-        low, high = model.normalized_bounds(np.tan(np.radians(config.max_angle_deg)))
-        full = np.array(model.central_focal_px) * (high - low)
-        scale = min(1.0, config.max_side_px / float(full.max()))
-        f = scale * np.array(model.central_focal_px)
-        width, height = (max(8, int(n)) for n in np.floor(f * (high - low)))
-        cx, cy = -f * low - 0.5
-        camera = Pinhole(width, height, np.array([[f[0], 0.0, cx], [0.0, f[1], cy], [0.0, 0.0, 1.0]]))
+        """Return the undistortion of a camera."""
+        camera = undistorted_camera(model, config)
+        scale = camera.K[0, 0] / model.central_focal_px[0]
         pixels = model.project(camera.rays().astype(np.float64))
         with np.errstate(invalid="ignore"):
             inside = np.all((pixels >= -0.5) & (pixels <= [model.width - 0.5, model.height - 0.5]), axis=-1)
@@ -101,13 +106,16 @@ class Undistortion:
 class ViewLoader:
     """Reads and undistorts the registered images of a reconstruction on request, and keeps the latest in memory."""
 
-    def __init__(self, images: ImageSet, reconstruction: Reconstruction, config: ViewConfig) -> None:
+    def __init__(
+        self, images: ImageSet, reconstruction: Reconstruction, config: ViewConfig, cached: int = _CACHED_VIEWS
+    ) -> None:
         """Take the images and their cameras.
 
         Args:
             images: The images, of which the reconstruction registers some by name.
             reconstruction: Poses and cameras of the registered images.
             config: Settings.
+            cached: Number of undistorted images that are kept in memory.
 
         Raises:
             InputError: A registered image is not among the images.
@@ -118,9 +126,10 @@ class ViewLoader:
             found = f"{len(missing)} images of the reconstruction that are not among the {len(images)} images"
             raise InputError(missing[0], found, "the images from which it was made")
         self._rows = [index[name] for name in reconstruction.image_names]
-        self._images, self._reconstruction = images, reconstruction
-        self._undistortions = [Undistortion.of(model, config) for model in reconstruction.cameras]
-        self._load: Callable[[int], View] = lru_cache(_CACHED_VIEWS)(self._read)
+        self._images, self._reconstruction, self._config = images, reconstruction, config
+        self._cameras = [undistorted_camera(model, config) for model in reconstruction.cameras]
+        self._undistortion: Callable[[int], Undistortion] = lru_cache(None)(self._undistortion_of)
+        self._load: Callable[[int], View] = lru_cache(cached)(self._read)
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -135,14 +144,18 @@ class ViewLoader:
 
     def camera(self, index: int) -> Pinhole:
         """Return the camera of an undistorted image without reading it."""
-        return self._undistortion(index).camera
+        return self._cameras[int(self._reconstruction.image_camera[index])]
 
-    def _undistortion(self, index: int) -> Undistortion:
-        camera = int(self._reconstruction.image_camera[index])
-        return self._undistortions[camera]
+    def resized(self, max_side_px: int) -> "ViewLoader":
+        """Return a loader of the same images with another largest side, which keeps none in memory."""
+        config = replace(self._config, max_side_px=max_side_px)
+        return ViewLoader(self._images, self._reconstruction, config, cached=0)
+
+    def _undistortion_of(self, camera: int) -> Undistortion:
+        return Undistortion.of(self._reconstruction.cameras[camera], self._config)
 
     def _read(self, index: int) -> View:
-        undistortion = self._undistortion(index)
+        undistortion = self._undistortion(int(self._reconstruction.image_camera[index]))
         row = self._rows[index]
         image, mask = self._images.read(row), self._images.read_mask(row)
         colours = undistortion.apply(image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2))

@@ -27,9 +27,9 @@ def surfaces(
 ) -> tuple[PointCloud, Mesh]:
     """Return the surfaces of depth images as points and as a mesh, in the map frame.
 
-    The mesh is the zero level of their truncated signed distance function; see `dronevio.estimator.dense.meshing.tsdf`. Voxels
-    that few images have seen have no surface, and neither have small separate parts. The points are means in voxels, of
-    which those beside the mesh are left out.
+    The mesh is the zero level of their truncated signed distance function; see `dronevio.estimator.dense.meshing.tsdf`.
+    Voxels that few images have seen have no surface, and neither have small separate parts. The points are means in
+    voxels, of which those beside the mesh are left out.
 
     Args:
         depths: N depth images.

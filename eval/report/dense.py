@@ -16,8 +16,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
-from dronevio.eval.images import DEPTH_PERCENT, depth_colours, downscaled, jpeg
+from dronevio.eval.images import DEPTH_PERCENT, depth_colours, downscaled
 from dronevio.eval.metrics.clouds import mesh_points
 from dronevio.eval.provenance import RunInfo
 from dronevio.eval.report.tables import Cell, Table
@@ -28,6 +29,7 @@ from dronevio.eval.surface_view import surface_view
 from dronevio.models.arrays import Floats, Image
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.recordings.files import write_bytes, write_text
+from dronevio.models.recordings.images import encode_jpeg
 from dronevio.models.surfaces import Mesh, PointCloud
 
 FORMAT = "dronevio-dense-report/1"
@@ -35,7 +37,7 @@ MAX_PHOTOGRAPHS = 6
 """Number of images that the page shows with their depths."""
 _PICTURE_PX = (1600, 1000)
 _PHOTOGRAPH_PX = 640  # length of the longer side
-_MESH_PX = 2.0  # distance of the drawn points of the mesh in the middle of the picture
+_MESH_PX, _TEXTURE_PX = 2.0, 1.0  # distances of the drawn points of the mesh in the middle of the picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +89,7 @@ def write_dense_report(folder: Path, info: RunInfo, results: DenseResults) -> No
         InputError: A file cannot be written, or an image cannot be read.
     """
     points, mesh = pictures(results)
+    textured = textured_picture(results)
     write_text(folder / "report.json", json.dumps(_values(info, results), indent=2, ensure_ascii=False) + "\n")
     page = render_page(
         "dense.html.j2",
@@ -96,14 +99,17 @@ def write_dense_report(folder: Path, info: RunInfo, results: DenseResults) -> No
         tiles=list(_tiles(results)),
         points_base64=_base64(points),
         mesh_base64=_base64(mesh),
+        textured_base64=None if textured is None else _base64(textured),
         photographs=list(_photographs(results)),
         times=_time_table(results),
         open_command=info.open_command,
         provenance=info.sections,
     )
     write_text(folder / "report.html", page)
-    write_bytes(folder / "dense.jpg", jpeg(points, quality=90))
-    write_bytes(folder / "mesh.jpg", jpeg(mesh, quality=90))
+    write_bytes(folder / "dense.jpg", encode_jpeg(points, quality=90))
+    write_bytes(folder / "mesh.jpg", encode_jpeg(mesh, quality=90))
+    if textured is not None:
+        write_bytes(folder / "textured.jpg", encode_jpeg(textured, quality=90))
 
 
 def pictures(results: DenseResults) -> tuple[Image, Image]:
@@ -112,18 +118,40 @@ def pictures(results: DenseResults) -> tuple[Image, Image]:
     Only surfaces that face the viewpoint are drawn, so that a room is seen into from outside.
     """
     cloud, mesh = results.cloud, results.mesh
-    up = upright_rotation(results.reconstruction)[2]
-    placed = surface_view(results.reconstruction, cloud.points, _PICTURE_PX[0] / _PICTURE_PX[1])
-    view_camera = ViewCamera.looking_at(*placed, up, VIEWER_FIELD_OF_VIEW_RAD, *_PICTURE_PX)
-    seen = view_camera.faces(cloud.points, cloud.normals)
-    points = splat(view_camera, cloud.points[seen], cloud.colours[seen], 1.4 * results.point_size)
-    drawn = np.all(view_camera.faces(mesh.vertices, mesh.normals)[mesh.triangles], axis=1)
-    spacing = _MESH_PX * float(np.linalg.norm(placed[1] - placed[0])) / view_camera.focal_px
-    rows = mesh_points(np.hstack([mesh.vertices, mesh.normals]), mesh.triangles[drawn], spacing)
+    camera, distance = _view(results)
+    seen = camera.faces(cloud.points, cloud.normals)
+    points = splat(camera, cloud.points[seen], cloud.colours[seen], 1.4 * results.point_size)
+    spacing = _MESH_PX * distance / camera.focal_px
+    rows = mesh_points(np.hstack([mesh.vertices, mesh.normals]), mesh.triangles[_facing(mesh, camera)], spacing)
     lengths = np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
     normals = rows[:, 3:] / np.maximum(lengths, np.finfo(float).tiny)
-    surface = splat(view_camera, rows[:, :3], shaded(normals, view_camera), spacing)
-    return points, surface
+    return points, splat(camera, rows[:, :3], shaded(normals, camera), spacing)
+
+
+def textured_picture(results: DenseResults) -> Image | None:
+    """Return the picture of the mesh with its texture from the same viewpoint; None without a texture."""
+    mesh = results.mesh
+    if mesh.texture is None:
+        return None
+    texture, (camera, distance) = mesh.texture, _view(results)
+    spacing = _TEXTURE_PX * distance / camera.focal_px
+    corners = np.hstack([mesh.vertices[texture.vertices], texture.pixels])
+    rows = mesh_points(corners, texture.triangles[_facing(mesh, camera)], spacing)
+    column, row = np.rint(rows[:, 3:]).astype(np.int64).T
+    return splat(camera, rows[:, :3], texture.image[row, column], spacing)
+
+
+def _view(results: DenseResults) -> tuple[ViewCamera, float]:
+    """Return the viewpoint of the pictures, and its distance from the scene."""
+    up = upright_rotation(results.reconstruction)[2]
+    placed = surface_view(results.reconstruction, results.cloud.points, _PICTURE_PX[0] / _PICTURE_PX[1])
+    camera = ViewCamera.looking_at(*placed, up, VIEWER_FIELD_OF_VIEW_RAD, *_PICTURE_PX)
+    return camera, float(np.linalg.norm(placed[1] - placed[0]))
+
+
+def _facing(mesh: Mesh, camera: ViewCamera) -> npt.NDArray[np.bool_]:
+    """Return which triangles (F,) face a camera with all corners."""
+    return np.asarray(np.all(camera.faces(mesh.vertices, mesh.normals)[mesh.triangles], axis=1))
 
 
 def _photographs(results: DenseResults) -> Iterator[DepthPhotograph]:
@@ -184,4 +212,4 @@ def _values(info: RunInfo, results: DenseResults) -> dict[str, object]:
 
 def _base64(image: Image) -> str:
     """Return an image as JPEG in base64."""
-    return base64.b64encode(jpeg(image)).decode("ascii")
+    return base64.b64encode(encode_jpeg(image)).decode("ascii")

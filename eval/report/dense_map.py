@@ -18,7 +18,6 @@ from typing import Self
 
 import numpy as np
 
-from dronevio.eval.images import jpeg
 from dronevio.eval.provenance import RunInfo
 from dronevio.eval.report.map_pictures import (
     dense_line,
@@ -34,6 +33,7 @@ from dronevio.models.arrays import Array
 from dronevio.models.occupancy import FREE, OCCUPIED, OccupancyGrid, PlacedSubmap
 from dronevio.models.occupancy_maps import layer_of
 from dronevio.models.recordings.files import write_bytes, write_text
+from dronevio.models.recordings.images import encode_jpeg
 from dronevio.models.state import Trajectory
 from dronevio.models.surfaces import Mesh, PointCloud
 
@@ -157,7 +157,7 @@ def write_dense_map_report(folder: Path, info: RunInfo, results: DenseMapResults
         InputError: A file cannot be written.
     """
     grid, path, figures = results.occupancy, results.trajectory.p_world_imu, results.figures
-    picture = jpeg(mesh_picture(results.mesh, path), quality=88) if len(results.mesh.triangles) else b""
+    picture = encode_jpeg(mesh_picture(results.mesh, path), quality=88) if len(results.mesh.triangles) else b""
     along = dense_line(path, grid.cell_m)  # without rests, in which a drone stands on the ground
     heights_m = np.unique(np.round(np.percentile(along[:, 2], _SLICES_PERCENT) / grid.cell_m)) * grid.cell_m
     values = {

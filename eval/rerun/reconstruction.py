@@ -13,7 +13,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from dronevio.eval import colours
-from dronevio.eval.images import downscaled, jpeg
+from dronevio.eval.images import downscaled
 from dronevio.eval.rerun import entities
 from dronevio.eval.rerun.blueprint import BACKGROUND
 from dronevio.eval.rerun.entities import ComponentEntities
@@ -24,6 +24,7 @@ from dronevio.models.camera import CameraModel
 from dronevio.models.errors import EvaluationError
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.recordings.files import check_output_path
+from dronevio.models.recordings.images import encode_jpeg
 
 ReadImage = Callable[[str], Image | None]
 """Function that returns the image (H, W) or (H, W, 3) of a name, or None if there is none."""
@@ -164,7 +165,7 @@ def _log_thumbnail(sink: Sink, entity: str, model: CameraModel, image: Image | N
         return
     small = downscaled(image, THUMBNAIL_PX)
     sink.static(entity, _pinhole(model, small.shape[1] / model.width, depth, colours.ESTIMATE))
-    sink.static(entity, rr.EncodedImage(contents=jpeg(small, quality=70), media_type="image/jpeg"))
+    sink.static(entity, rr.EncodedImage(contents=encode_jpeg(small, quality=70), media_type="image/jpeg"))
 
 
 def _pinhole(model: CameraModel, scale: float, depth: float, colour: str) -> rr.Pinhole:
@@ -223,7 +224,9 @@ class _ImageRow:
         else:
             shown = downscaled(image, IMAGE_PX)
             scale = shown.shape[1] / model.width
-            self.log(entities.CURRENT_IMAGE, rr.EncodedImage.columns(blob=[jpeg(shown)], media_type=["image/jpeg"]))
+            self.log(
+                entities.CURRENT_IMAGE, rr.EncodedImage.columns(blob=[encode_jpeg(shown)], media_type=["image/jpeg"])
+            )
         ends = pixels + style.factor * np.nan_to_num(residuals_px)
         rgb = colours.residual_colours(np.linalg.norm(residuals_px, axis=1), style.limit_px)
         start_end = (scale * (np.stack([pixels, ends], axis=1) + 0.5)).astype(np.float32)  # pixel centres at .5

@@ -175,6 +175,15 @@ def encode_png(image: Image) -> bytes:
     return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])
 
 
+def encode_jpeg(image: Image, quality: int = 80) -> bytes:
+    """Return a grey image (H, W), or red, green and blue (H, W, 3), as JPEG, with a quality from 0 to 100."""
+    import cv2
+
+    if image.ndim == 3:
+        image = image[..., ::-1]
+    return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1])
+
+
 def png_name(name: str) -> str:
     """Return the name of an image as that of a PNG file."""
     return name if name.lower().endswith(".png") else f"{name}.png"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dronevio.eval import colours
-from dronevio.eval.images import downscaled, jpeg
+from dronevio.eval.images import downscaled
 from dronevio.eval.scene import (
     ResidualStyle,
     frusta,
@@ -21,6 +21,7 @@ from dronevio.eval.scene import (
     view_azimuth_deg,
 )
 from dronevio.models.arrays import Array
+from dronevio.models.recordings.images import encode_jpeg
 from dronevio.models.rotation import exp_so3, pose_matrix
 
 if TYPE_CHECKING:
@@ -153,4 +154,4 @@ def test_images_are_reduced_but_never_enlarged() -> None:
     assert small[0, 0].tolist() == [0, 0, 0] and small[0, -1].tolist() == [200, 200, 200]
     assert downscaled(image, 60) is image
     assert downscaled(image[:, :, 0], 6).shape == (3, 6)
-    assert jpeg(image[:, :, 0]).startswith(b"\xff\xd8\xff")
+    assert encode_jpeg(image[:, :, 0]).startswith(b"\xff\xd8\xff")

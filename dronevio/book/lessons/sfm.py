@@ -321,10 +321,11 @@ assert np.nanmedian(relative) < 0.01, "the points differ from those by hand"
 # $$\min_{T, \, p, \, f, \, k} \; \sum_{(i, j)} \big| \pi_i(p_j) - u_{ij} \big|^2 ,$$
 #
 # with the Levenberg-Marquardt method.
-# `dronevio.estimator.sfm.adjustment.adjust` builds the factor graph with GTSAM:
-# one factor for each observation, as in the chapter, and priors that hold the
-# first pose and the distance to another one, because images determine neither
-# position, orientation nor scale. Observations with large errors are removed
+# `dronevio.estimator.sfm.adjustment.adjust` has one reprojection error for each
+# observation, as the factor graph of the chapter, and factors of GTSAM that hold
+# the first pose and the distance to another one, because images determine neither
+# position, orientation nor scale. The points are eliminated by the Schur
+# complement, so that a linear system in the poses is left. Observations with large errors are removed
 # afterwards (`dronevio.estimator.sfm.structure.remove_outliers`).
 
 # %%

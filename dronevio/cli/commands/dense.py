@@ -26,6 +26,9 @@ Format = Literal["ply", "glb", "obj", "las", "laz", "geotiff"]
 SOURCE = "images.json"
 """File of a result of ``dronevio sfm`` that says where its images are."""
 
+TEXTURED: frozenset[Format] = frozenset({"glb", "obj"})
+"""Formats of a mesh with a texture."""
+
 DEPTHS = "depths"
 """Folder of a result with the depth maps of the images."""
 
@@ -60,8 +63,9 @@ class DenseCommand(Settings):
     out: Path | None = None
     """Folder to make; SCENE/dense by default."""
     format: tuple[Format, ...] = ("ply",)
-    """Formats of the surfaces: points and mesh as PLY; the mesh as GLB or OBJ; the points as LAS or LAZ (which needs
-    dronevio[las]); orthophoto and height map as GeoTIFF (dronevio[geo]), for scenes in metres whose z points up."""
+    """Formats of the surfaces: points and mesh as PLY; the mesh with a texture as GLB or OBJ; the points as LAS or LAZ
+    (which needs dronevio[las]); orthophoto and height map as GeoTIFF (dronevio[geo]), for scenes in metres whose z
+    points up."""
     add_to: Path | None = None
     """Result of an earlier `dronevio dense --keep-depths` of some of the images, whose depth maps are used again where
     the cameras have moved by less than a quarter of a pixel."""
@@ -97,7 +101,15 @@ def main(arguments: Sequence[str]) -> int:
     images = _open(command)
     work = target.absolute().with_name(f".{target.name}.work")
     with progress_bars(quiet=command.output.json) as bars:
-        result = densify(images, reconstruction, command.dense, bars.bar, ArrayStore(work), finished)
+        result = densify(
+            images,
+            reconstruction,
+            command.dense,
+            bars.bar,
+            ArrayStore(work),
+            finished,
+            with_texture=not TEXTURED.isdisjoint(command.format),
+        )
     if not len(result.cloud):
         shutil.rmtree(work, ignore_errors=True)
         raise InputError(

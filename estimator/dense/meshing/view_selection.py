@@ -1,9 +1,8 @@
 """Which image shows each triangle of a mesh best.
 
 An image shows a triangle if its depth map agrees with at least one corner and contradicts none. The image in which it
-is largest is the best one: near, in focus of the resolution, and seen from the front. Since each border between images is
-a visible seam, neighbouring triangles prefer the same image, by iterated conditional modes of a Potts model over the
-best candidates of each triangle.
+is largest, near and seen from the front, is the best one. Each border between images is a visible seam: neighbouring
+triangles prefer the same image, by iterated conditional modes of a Potts model over the best candidates of each.
 
 Sources: Lempitsky and Ivanov, "Seamless mosaicing of image-based texture maps", CVPR 2007, for the problem; Waechter,
 Moehrle and Goesele, "Let there be color! Large-scale texturing of 3D reconstructions", ECCV 2014, for the quality of
@@ -74,7 +73,8 @@ def candidate_views(
         tolerance: Largest distance of a visible vertex from the surface of a depth map.
 
     Returns:
-        (F, CANDIDATES) Indices of images, −1 for none, in no order; (F, CANDIDATES) areas of the triangle in them [px²].
+        (F, CANDIDATES) Indices of images in no order, −1 for none; (F, CANDIDATES) areas of the triangle in them
+        [px²].
     """
     views = np.full((len(triangles), CANDIDATES), -1, np.int64)
     areas = np.zeros((len(triangles), CANDIDATES), np.float32)

@@ -100,8 +100,8 @@ def intrinsics_covariances(
 ) -> dict[int, Array]:
     """Return the covariance of the intrinsics of each estimated camera, by its index, at the optimum of `adjust`.
 
-    The parameters are focal length [px], k1, k2 of a pinhole, and k3, k4 of a fisheye. The covariance of parameters that
-    are held is zero; it is infinite where the observations do not determine the scene.
+    The parameters are focal length [px], k1 and k2 of a pinhole, and also k3 and k4 of a fisheye. The covariance of
+    parameters that are held is zero; it is infinite where the observations do not determine the scene.
     """
     problem, x = _problem(scene, state, selected, config)
     rows = np.flatnonzero(problem.estimated)
@@ -186,49 +186,53 @@ class _Problem:
 
     def linearized(self, x: Variables) -> NormalEquations:
         """Return the normal equations, with the weights of the robust loss."""
-        o, I, K = self.observations, len(self.images), len(self.cameras)
-        r, d = residuals(o, x), derivatives(o, x, self.estimated)
-        weight = np.ones(len(r)) if self.cauchy is None else 1.0 / cauchy_inflation(self._squared(r), self.cauchy**2)
-        seen = np.isfinite(r).all(axis=1) & np.isfinite(d.pose).all(axis=(1, 2)) & np.isfinite(d.point).all(axis=(1, 2))
-        seen &= np.isfinite(d.intrinsics).all(axis=(1, 2))
-        scale = np.where(seen, np.sqrt(weight), 0.0)[:, None]
-        r = np.where(seen[:, None], r, 0.0) * scale
-        A, B, C = (np.where(seen[:, None, None], J, 0.0) * scale[..., None] for J in (d.pose, d.point, d.intrinsics))
+        o, images, cameras = self.observations, len(self.images), len(self.cameras)
+        r, A, B, C = self._whitened(x)
         At, Bt, Ct = (np.swapaxes(J, 1, 2) for J in (A, B, C))
+        r = r[..., None]
         # Poses and points
-        V, b_points = self._by_point.sums(Bt @ B), -self._by_point.sums(np.einsum("nij,nj->ni", Bt, r))
-        b = np.zeros((I + K, BLOCK))
-        b[:I] = -self._by_image.sums(np.einsum("nij,nj->ni", At, r))
-        rows = np.arange(I)
-        U = [Blocks(rows, rows, self._by_image.sums(At @ A))]
+        image, camera = np.arange(images), images + np.arange(cameras)
+        U = [Blocks(image, image, self._by_image.sums(At @ A))]
         W = [Blocks(o.image, o.point, At @ B)]
-        # Intrinsics; the rows of those that are not estimated are the identity
-        diagonal = np.zeros((K, BLOCK))
-        known = np.isfinite(self.intrinsics_sigmas)
-        diagonal[known] = self.intrinsics_sigmas[known] ** -2
-        b[I:] -= diagonal * self._deviations(x)
-        diagonal[np.arange(BLOCK) >= self.estimated[:, None]] = 1.0
-        rows = I + np.arange(K)
-        U.append(Blocks(rows, rows, diagonal[:, :, None] * np.eye(BLOCK)))
+        V, b_points = self._by_point.sums(Bt @ B), -self._by_point.sums(Bt @ r)[..., 0]
+        b = np.zeros((images + cameras, BLOCK))
+        b[:images] = -self._by_image.sums(At @ r)[..., 0]
+        # Intrinsics and their coupling; rows of those that are not estimated are the identity
+        information = self.intrinsics_sigmas**-2.0
+        diagonal = np.where(np.arange(BLOCK) < self.estimated[:, None], information, 1.0)
+        U.append(Blocks(camera, camera, diagonal[:, :, None] * np.eye(BLOCK)))
+        b[images:] -= information * self._deviations(x)
         if self.estimated.any():
-            b[I:] -= self._by_camera.sums(np.einsum("nij,nj->ni", Ct, r))
-            between = self._by_image.sums(At @ C)
-            camera = I + self._camera_of_image
-            U.append(Blocks(rows, rows, self._by_camera.sums(Ct @ C)))
-            U.append(Blocks(np.arange(I), camera, between))
-            U.append(Blocks(camera, np.arange(I), np.swapaxes(between, 1, 2)))
-            W.append(Blocks(I + o.camera, o.point, Ct @ B))
+            between, camera_of_image = self._by_image.sums(At @ C), images + self._camera_of_image
+            U.append(Blocks(camera, camera, self._by_camera.sums(Ct @ C)))
+            U.append(Blocks(image, camera_of_image, between))
+            U.append(Blocks(camera_of_image, image, np.swapaxes(between, 1, 2)))
+            W.append(Blocks(images + o.camera, o.point, Ct @ B))
+            b[images:] -= self._by_camera.sums(Ct @ r)[..., 0]
         # Factors on poses, and priors of points
         of_poses, b_poses = self.pose_factors.linearized(x.Ts_world_cam)
         U.append(of_poses)
-        b[:I] += b_poses
+        b[:images] += b_poses
         apart = self._apart(x)
-        w = 1.0 / cauchy_inflation(np.sum(apart**2, axis=1), self.point_cauchy**2)[:, None]
-        V[self.point_rows] += (w / self.point_sigmas**2)[:, :, None] * np.eye(3)
-        b_points[self.point_rows] -= w * apart / self.point_sigmas
-        return NormalEquations(
-            joined(U).matrix(I + K, I + K), joined(W).matrix(I + K, len(self.tracks)), V, b.ravel(), b_points
-        )
+        weight = 1.0 / cauchy_inflation(np.sum(apart**2, axis=1), self.point_cauchy**2)[:, None]
+        V[self.point_rows] += (weight / self.point_sigmas**2)[:, :, None] * np.eye(3)
+        b_points[self.point_rows] -= weight * apart / self.point_sigmas
+        rows = images + cameras
+        U_matrix, W_matrix = joined(U).matrix(rows, rows), joined(W).matrix(rows, len(self.tracks))
+        return NormalEquations(U_matrix, W_matrix, V, b.ravel(), b_points)
+
+    def _whitened(self, x: Variables) -> tuple[Array, Array, Array, Array]:
+        """Return the residuals (M, 2) and their derivatives (M, 2, …) by pose, point and intrinsics, with weights.
+
+        All are zero where a camera does not see its point.
+        """
+        r, d = residuals(self.observations, x), derivatives(self.observations, x, self.estimated)
+        weight = np.ones(len(r)) if self.cauchy is None else 1.0 / cauchy_inflation(self._squared(r), self.cauchy**2)
+        every = np.concatenate([r[..., None], d.pose, d.point, d.intrinsics], axis=2)
+        every *= np.sqrt(weight)[:, None, None]
+        every[~np.isfinite(every).all(axis=(1, 2))] = 0.0
+        r, A, B, C = np.split(every, [1, 1 + BLOCK, 4 + BLOCK], axis=2)
+        return r[..., 0], A, B, C
 
     def _squared(self, r: Array) -> Array:
         """Return the squares (M,) of residuals (M, 2), large ones for points that are not seen."""
@@ -305,6 +309,7 @@ def _problem(
     Ts = state.Ts_world_cam[images]
     of_images = None if priors is None else replace(priors, Ts_world_cam=priors.Ts_world_cam[images])
     cauchy_px = config.cauchy_px
+    factors = pose_factors(Ts, scene.is_fixed[images], _rows(rig, images), of_images, _of_rows(positions, images))
     problem = _Problem(
         images=images,
         tracks=tracks,
@@ -316,7 +321,7 @@ def _problem(
         cauchy=None if cauchy_px is None else cauchy_px / config.noise_px,
         intrinsics=expected,
         intrinsics_sigmas=sigmas,
-        pose_factors=pose_factors(Ts, scene.is_fixed[images], _rows(rig, images), of_images, _of_rows(positions, images)),
+        pose_factors=factors,
         point_rows=np.searchsorted(tracks, measured),
         point_targets=np.empty((0, 3)) if positions is None else positions.points[measured - first],
         point_sigmas=np.empty((0, 3)) if positions is None else positions.point_sigmas[measured - first],

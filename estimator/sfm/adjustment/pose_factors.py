@@ -60,7 +60,7 @@ class PoseFactors:
         for index in range(linear.size()):
             factor = linear.at(index)
             J, target = factor.jacobian()
-            images = [gtsam.Symbol(key).index() for key in factor.keys()]
+            images = [gtsam.Symbol(key).index() for key in factor.keys()]  # noqa: SIM118
             parts = [J[:, BLOCK * n : BLOCK * (n + 1)] for n in range(len(images))]
             for image, part in zip(images, parts, strict=True):
                 b[image] += part.T @ target
@@ -73,7 +73,7 @@ class PoseFactors:
     def _images(self) -> list[int]:
         """Return the rows of the images that have a factor; iterating over GTSAM's set of keys ends the process."""
         factors = (self.graph.at(n) for n in range(self.graph.size()))
-        return sorted({gtsam.Symbol(key).index() for factor in factors for key in factor.keys()})
+        return sorted({gtsam.Symbol(key).index() for factor in factors for key in factor.keys()})  # noqa: SIM118
 
     def _values(self, Ts_world_cam: Array) -> gtsam.Values:
         values = gtsam.Values()

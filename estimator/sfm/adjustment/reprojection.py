@@ -45,7 +45,9 @@ class Variables:
         Ts[:, :3, :3] = R @ exp_so3(poses[:, :3])
         Ts[:, :3, 3] += np.einsum("nij,nj->ni", R, poses[:, 3:])
         cameras = tuple(
-            with_intrinsics(camera, intrinsics_of(camera) + step[: len(intrinsics_of(camera))]) if step.any() else camera
+            with_intrinsics(camera, intrinsics_of(camera) + step[: len(intrinsics_of(camera))])
+            if step.any()
+            else camera
             for camera, step in zip(self.cameras, intrinsics, strict=True)
         )
         return Variables(Ts, self.points + points, cameras)
@@ -144,7 +146,7 @@ def _intrinsic_step(camera: CameraModel, parameter: int) -> float:
 def _in_camera(observations: Observations, x: Variables) -> Array:
     """Return the points (M, 3) of the observations in the frames of their cameras."""
     T = x.Ts_world_cam[observations.image]
-    return np.einsum("nji,nj->ni", T[:, :3, :3], x.points[observations.point] - T[:, :3, 3])
+    return np.asarray(np.einsum("nji,nj->ni", T[:, :3, :3], x.points[observations.point] - T[:, :3, 3]))
 
 
 def _projected(observations: Observations, x: Variables, p: Array) -> Array:
@@ -157,4 +159,4 @@ def _projected(observations: Observations, x: Variables, p: Array) -> Array:
 
 
 def _scaled(observations: Observations, pixels: Array) -> Array:
-    return pixels / observations.sigma_px[:, None]
+    return np.asarray(pixels / observations.sigma_px[:, None])

@@ -126,7 +126,7 @@ class NormalEquations:
     def _reduced(self, damping: Array, V: Array) -> tuple[Any, Array]:
         """Return the solver of the reduced equations, and the inverses (T, 3, 3) of the information on the points."""
         try:
-            inverse = np.linalg.inv(V)
+            inverse = np.asarray(np.linalg.inv(V), np.float64)
         except np.linalg.LinAlgError as error:
             raise SingularError("a point is not determined") from error
         starts, columns = self.W.indptr, self.W.indices

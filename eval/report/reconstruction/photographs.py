@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from dronevio.eval import colours
-from dronevio.eval.images import downscaled, jpeg
+from dronevio.eval.images import downscaled
 from dronevio.eval.report.reconstruction.model import ReconstructionResults
 from dronevio.eval.scene import ResidualStyle
 from dronevio.models.arrays import Array
+from dronevio.models.recordings.images import encode_jpeg
 
 MAX_PHOTOGRAPHS = 6
 """Number of images with observations that the page shows."""
@@ -69,7 +70,7 @@ def _photograph(results: ReconstructionResults, component_index: int, index: int
     else:
         small = downscaled(image, _PHOTOGRAPH_PX)
         height, width = small.shape[:2]
-        scale, data = width / model.width, base64.b64encode(jpeg(small)).decode("ascii")
+        scale, data = width / model.width, base64.b64encode(encode_jpeg(small)).decode("ascii")
     is_seen = component.observation_image == index
     residuals = results.residuals_px[component_index][is_seen]
     pixels = component.observation_px[is_seen]

@@ -13,8 +13,8 @@ from dronevio.estimator.dense.config import ConsistencyConfig, DenseConfig, Dept
 from dronevio.estimator.dense.consistency import PosedDepth, consistent_depth
 from dronevio.estimator.dense.fusion import fuse, surface_normals
 from dronevio.estimator.dense.meshing.mesh import build_mesh, vertex_normals, without_small_parts
-from dronevio.estimator.dense.pipeline import DenseResult, densify, estimate_depths
 from dronevio.estimator.dense.meshing.tsdf import integrate, pixel_size
+from dronevio.estimator.dense.pipeline import DenseResult, densify, estimate_depths
 from dronevio.estimator.dense.views import ViewLoader
 from dronevio.models.depth import Pinhole
 from dronevio.models.reconstruction import Reconstruction

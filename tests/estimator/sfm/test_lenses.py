@@ -1,4 +1,4 @@
-"""Reconstructions with calibrated lenses that GTSAM does not have: their observations are those of a pinhole."""
+"""Reconstructions with lenses of all kinds."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 DS = CameraModel(640, 640, 190.0, 191.0, 319.5, 318.0, (-0.172, 0.593), "ds")
 OMNI = CameraModel(640, 480, 800.0, 802.0, 319.5, 238.0, (1.6, -0.2, 0.1, 1e-3, -1e-3), "omni")
-EUCM = CameraModel(640, 640, 230.0, 231.0, 319.5, 318.0, (0.63, 1.04), "eucm")
-FOV = CameraModel(640, 480, 300.0, 302.0, 319.5, 238.0, (0.93,), "fov")
 RATIONAL = CameraModel(640, 480, 420.0, 422.0, 319.5, 238.0, (0.4, 0.05, 5e-4, -5e-4, 0.001, 0.5, 0.1, 0.002))
 
 
@@ -38,10 +36,10 @@ def test_scenes_are_reconstructed(
     assert errors.max() < 0.02
 
 
-def test_both_kinds_of_factors_have_the_same_minimum(
+def test_a_superfluous_coefficient_does_not_change_the_minimum(
     make_scene: "MakeScene", make_images: "MakeImages", tmp_path: "Path", monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A radial-tangential lens that GTSAM has, and the same one with a superfluous coefficient."""
+    """A radial-tangential lens, and the same one with a further coefficient that is zero."""
     camera = CameraModel(640, 480, 420.0, 422.0, 319.5, 238.0, (-0.2, 0.05, 1e-3, -1e-3))
     scene = make_scene(camera=camera, images=6)
     images, workspace = make_images(scene, tmp_path)
@@ -61,9 +59,9 @@ def test_both_kinds_of_factors_have_the_same_minimum(
         for model in (camera, longer)
     ]
     assert settings is not None and states[1].cameras == (longer,)
-    np.testing.assert_allclose(states[1].Ts_world_cam, states[0].Ts_world_cam, atol=2e-4)
+    np.testing.assert_allclose(states[1].Ts_world_cam, states[0].Ts_world_cam, atol=1e-7)
     errors = [state.errors_px(measured, selected) for state in states]  # type: ignore[arg-type]
-    assert np.sqrt(np.mean(errors[1] ** 2)) == pytest.approx(np.sqrt(np.mean(errors[0] ** 2)), rel=1e-4)
+    assert np.sqrt(np.mean(errors[1] ** 2)) == pytest.approx(np.sqrt(np.mean(errors[0] ** 2)), rel=1e-7)
     uncalibrated = replace(measured, is_calibrated=np.array([False]))  # type: ignore[type-var]
     held = adjust(uncalibrated, replace(state, cameras=(longer,)), selected, exact)  # type: ignore[arg-type,type-var]
     assert held.cameras == (longer,)  # there is nothing to estimate it with

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dronevio.models.errors import ConfigError
 from dronevio.models.reconstructions.gltf import write_glb
 from dronevio.models.reconstructions.obj import write_obj
-from dronevio.models.surfaces import Mesh
+from dronevio.models.surfaces import Mesh, Texture
 
 TRIANGLE = Mesh(
     vertices=np.array([[1.0, 2.0, 3.0], [3.0, 2.0, 3.0], [1.0, 6.0, 4.0]]),
@@ -129,3 +130,68 @@ def test_files_without_triangles(tmp_path: Path) -> None:
     assert document["scenes"] == [{}] and "nodes" not in document and not binary
     write_obj(tmp_path / "a.obj", empty)
     assert (tmp_path / "a.obj").read_text(encoding="ascii").count("\n") == 1
+
+
+IMAGE = np.zeros((16, 32, 3), np.uint8)
+IMAGE[:, :16], IMAGE[:, 16:] = (200, 30, 30), (30, 30, 200)
+TEXTURED = replace(
+    TRIANGLE,
+    texture=Texture(
+        IMAGE,
+        pixels=np.array([[0.0, 0.0], [30.0, 2.0], [4.0, 12.0]]),
+        vertices=np.array([0, 1, 2]),
+        triangles=np.array([[0, 1, 2]]),
+    ),
+)
+
+
+def test_a_textured_triangle_as_obj_by_hand(tmp_path: Path) -> None:
+    write_obj(tmp_path / "a.obj", TEXTURED)
+    assert (tmp_path / "a.obj").read_text(encoding="ascii").split("\n") == [
+        "mtllib a.mtl",
+        "usemtl texture",
+        "v 1 2 3",
+        "v 3 2 3",
+        "v 1 6 4",
+        "vt 0.015625 0.96875",  # (0 + ½) / 32, 1 − (0 + ½) / 16
+        "vt 0.953125 0.84375",
+        "vt 0.140625 0.21875",
+        *3 * ["vn 0 0 1"],
+        "f 1/1/1 2/2/2 3/3/3",
+        "",
+    ]
+    assert "map_Kd a.jpg" in (tmp_path / "a.mtl").read_text(encoding="ascii")
+
+
+@pytest.mark.parametrize("name", ["a.glb", "a.obj"])
+def test_trimesh_reads_textures(tmp_path: Path, name: str) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    (write_glb if name == "a.glb" else write_obj)(tmp_path / name, TEXTURED)
+    read = trimesh.load_mesh(tmp_path / name, process=False)
+    assert len(read.faces) == 1
+    coordinates = read.visual.uv[read.faces[0]]
+    np.testing.assert_allclose(coordinates[:, 0], [0.015625, 0.953125, 0.140625], atol=1e-6)
+    np.testing.assert_allclose(coordinates[:, 1], [0.96875, 0.84375, 0.21875], atol=1e-6)  # trimesh has v upwards
+    material = read.visual.material
+    image = np.asarray(material.baseColorTexture if name == "a.glb" else material.image)
+    assert image.shape == (16, 32, 3)
+    assert np.abs(image[8, 4].astype(int) - (200, 30, 30)).max() < 12
+    assert np.abs(image[8, 28].astype(int) - (30, 30, 200)).max() < 12
+
+
+def test_a_vertex_at_a_seam_is_there_twice(tmp_path: Path, mesh: Mesh) -> None:
+    corners = mesh.triangles.ravel()  # no two triangles share a pixel
+    texture = Texture(
+        IMAGE, np.random.default_rng(0).uniform(0, 15, (len(corners), 2)), corners, np.arange(600).reshape(-1, 3)
+    )
+    write_glb(tmp_path / "a.glb", replace(mesh, texture=texture))
+    document, _ = chunks((tmp_path / "a.glb").read_bytes())
+    positions, _, coordinates, indices = document["accessors"]
+    assert positions["count"] == coordinates["count"] == 600 and indices["count"] == 600
+    assert document["images"] == [{"bufferView": 4, "mimeType": "image/jpeg"}]
+
+
+def test_a_texture_of_other_triangles_is_refused() -> None:
+    assert TEXTURED.texture is not None
+    with pytest.raises(ConfigError, match="texture"):
+        replace(TRIANGLE, texture=replace(TEXTURED.texture, vertices=np.array([1, 0, 2])))
