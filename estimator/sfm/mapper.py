@@ -123,8 +123,11 @@ def hold_undetermined(scene: Scene, state: SfmState, config: MapperConfig, least
             which determine the focal length where images do not.
 
     Returns:
-        The scene, whose priors state which parameters are estimated, and the adjusted state.
+        The scene, whose priors state which parameters are estimated, and the adjusted state; both as they are if all
+        cameras are calibrated.
     """
+    if scene.is_calibrated.all():
+        return scene, state
     scene = replace(scene, priors=tuple(replace(prior, estimated=PARAMETERS) for prior in scene.priors))
     for _ in range(PARAMETERS + 1):
         state = _Mapper(scene, config, silent).adjust_all(state, SETTLED)
