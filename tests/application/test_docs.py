@@ -65,6 +65,12 @@ def test_navigation_names_every_page_once() -> None:
 PAGES = pages() if DOCS.is_dir() else []
 
 
+def test_links_to_generated_pages_are_those_of_the_home_page() -> None:
+    """They exist on the site alone; the other pages are read in the repository, too."""
+    generated = re.compile(rf"\]\((?:\.\./)?(?:{'|'.join(GENERATED)})")
+    assert [page for page in PAGES if generated.search(text_of(page))] == ["index.md"]
+
+
 def text_of(page: str) -> str:
     """Return the source of a page."""
     return (DOCS / page).read_text(encoding="utf-8")
