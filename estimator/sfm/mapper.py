@@ -40,6 +40,10 @@ GLOBAL_RATIO = 1.2
 """Growth of the number of images between two adjustments of the whole reconstruction."""
 INTERMEDIATE_OBSERVATIONS = 300
 """Number of observations of an image in the adjustments before the last; tracks of many images are preferred."""
+INTERMEDIATE_TRACK = 40
+"""Number of observations above which a track is thinned in these adjustments."""
+INTERMEDIATE_MINIMUM = 100
+"""Number of observations of an image below which none of them is left out in this way."""
 INTERMEDIATE_CAUCHY_PX = 1.0
 """Scale of the Cauchy loss of the adjustments before the last [px]."""
 INTERMEDIATE_ADJUSTMENT = BundleAdjustmentConfig(15, 1e-4, INTERMEDIATE_CAUCHY_PX)
@@ -185,13 +189,14 @@ class _Visibility:
         """Return the visibility in which that of some images, in increasing order, is computed anew."""
         index = np.concatenate([scene.tracks.of_image(image) for image in images.tolist()])
         index = index[state.has_point[scene.tracks.track[index]]]
-        row, cells = np.searchsorted(images, scene.tracks.image[index]), self.cells[index]
+        row, (column, line) = np.searchsorted(images, scene.tracks.image[index]), self.cells[index].T
+        occupied = np.zeros((len(images), 2**VISIBILITY_LEVELS, 2**VISIBILITY_LEVELS), np.bool_)
+        occupied[row, column, line] = True
         score = np.zeros(len(images))
-        for level in range(1, VISIBILITY_LEVELS + 1):
-            column, line = (cells >> (VISIBILITY_LEVELS - level)).T
-            is_occupied = np.zeros((len(images), 4**level), np.bool_)
-            is_occupied[row, column * 2**level + line] = True
-            score += 4**level * is_occupied.sum(axis=1)
+        for level in range(VISIBILITY_LEVELS, 0, -1):
+            score += 4**level * occupied.sum(axis=(1, 2))
+            occupied = occupied[:, ::2] | occupied[:, 1::2]
+            occupied = occupied[:, :, ::2] | occupied[:, :, 1::2]
         points, scores = self.points.copy(), self.score.copy()
         points[images], scores[images] = np.bincount(row, minlength=len(images)), score
         return replace(self, points=points, score=scores)
@@ -310,17 +315,29 @@ class _Mapper:
         return replace(state, Ts_world_cam=Ts_world_cam, is_inlier=is_inlier)
 
     def _subset(self, used: Mask) -> Mask:
-        """Return a subset of the used observations: per image, those of the longest tracks."""
-        scene = self.scene
-        lengths = np.bincount(scene.tracks.track[used], minlength=scene.tracks.count)
+        """Return a subset of the used observations: per image, those of the longest tracks.
+
+        A track couples all its images, at a cost that grows with the square of their number: of one that is longer than
+        `INTERMEDIATE_TRACK`, observations at equal distances count, unless an image would have too few.
+        """
+        scene, tracks = self.scene, self.scene.tracks
         index = np.flatnonzero(used)
-        order = index[np.lexsort([scene.tracks.track[index], -lengths[scene.tracks.track[index]]])]
-        order = order[np.argsort(scene.tracks.image[order], kind="stable")]
-        counts = np.bincount(scene.tracks.image[order], minlength=scene.images)
+        track = tracks.track[index]
+        lengths = np.bincount(track, minlength=tracks.count)
+        rank = np.arange(len(index)) - (np.cumsum(lengths) - lengths)[track]
+        thinned = np.zeros(len(used), np.bool_)
+        thinned[index[(rank + track) % -(-lengths[track] // INTERMEDIATE_TRACK) == 0]] = True
+        counts = np.bincount(tracks.image[thinned], minlength=scene.images)
+        used = thinned | (used & (counts < INTERMEDIATE_MINIMUM)[tracks.image])
+        lengths = np.bincount(tracks.track[used], minlength=tracks.count)
+        index = np.flatnonzero(used)
+        order = index[np.lexsort([tracks.track[index], -lengths[tracks.track[index]]])]
+        order = order[np.argsort(tracks.image[order], kind="stable")]
+        counts = np.bincount(tracks.image[order], minlength=scene.images)
         rank = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
-        kept = np.zeros(scene.tracks.count, np.bool_)
-        kept[scene.tracks.track[order[rank < INTERMEDIATE_OBSERVATIONS]]] = True
-        return np.asarray(used & kept[scene.tracks.track])
+        kept = np.zeros(tracks.count, np.bool_)
+        kept[tracks.track[order[rank < INTERMEDIATE_OBSERVATIONS]]] = True
+        return np.asarray(used & kept[tracks.track])
 
     def adjust_all(self, state: SfmState, config: BundleAdjustmentConfig) -> SfmState:
         """Adjust the whole reconstruction on a subset of its observations, with a robust loss."""

@@ -12,6 +12,8 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 Indices = npt.NDArray[np.int64]
 
+_EDGES_AT_ONCE = 200_000  # whose neighbours are in memory
+
 
 class MatchedPair(Protocol):
     """Two images with matches, of which `TwoView` is an example."""
@@ -145,8 +147,12 @@ def _conflicts(labels: Indices, image_of: Indices) -> npt.NDArray[np.bool_]:
 
 def _triangles(edges: Indices, total: int) -> Indices:
     """Return how many triangles of matches contain each match (E,)."""
-    i, j = edges.min(axis=1), edges.max(axis=1)
-    graph = coo_array((np.ones(len(edges), np.int64), (i, j)), shape=(total, total)).tocsr()
-    graph = ((graph + graph.T) > 0).astype(np.int64)
-    common = (graph @ graph).multiply(graph).tocsr()
-    return np.asarray(common[i, j]).reshape(-1).astype(np.int64)
+    i, j = edges.T
+    ends = np.concatenate([i, j]), np.concatenate([j, i])
+    graph = coo_array((np.ones(len(ends[0]), np.int32), ends), shape=(total, total)).tocsr()
+    graph.data[:] = 1
+    triangles = np.empty(len(edges), np.int64)
+    for start in range(0, len(edges), _EDGES_AT_ONCE):
+        rows = slice(start, start + _EDGES_AT_ONCE)
+        triangles[rows] = graph[i[rows]].multiply(graph[j[rows]]).sum(axis=1)
+    return triangles

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
+from scipy.sparse import block_diag, bsr_array, csr_array, diags_array, eye_array, vstack
+from scipy.sparse.linalg import splu
 
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
 from dronevio.estimator.sfm.bearings import tangent_bases
@@ -32,6 +34,10 @@ ROTATION_SCALE_RAD = 0.01
 """Scale of the robust loss of the rotations that determine the gyroscope bias [rad]."""
 GRAVITY_ITERATIONS = 5
 """Number of refinements of the direction of gravity."""
+DAMPING = 1e-13
+"""Addition to the normal equations, scaled to a unit diagonal, so that what is not determined stays small."""
+REFINEMENTS = 3
+"""Number of solutions of the normal equations, each for the residuals of those before."""
 POSITION_SIGMA = 1e-3
 """Standard deviation of the reconstructed positions, relative to the median distance between successive images."""
 
@@ -207,23 +213,30 @@ class _Solution:
     gravity_covariance: Array  # (2, 2) in the tangent plane [m²/s⁴]
 
 
-def _equations(intervals: _Intervals, motions: list[_Preintegrated]) -> tuple[Array, Array]:
+def _equations(intervals: _Intervals, motions: list[_Preintegrated]) -> tuple[csr_array, Array]:
     """Return A (6N, 3V + 7) and b (6N,) of the linear problem A x = b.
 
     The unknowns are the velocities, the scale, the accelerometer bias, and gravity. The first three rows of each
     interval are its change of position, the others its change of velocity, both in the frame of the reconstruction.
     """
-    velocities, eye = 3 * (int(intervals.end.max()) + 1), np.eye(3)
-    A, b = np.zeros((len(motions), 6, velocities + 7)), np.zeros((len(motions), 6))
-    for k, (motion, R) in enumerate(zip(motions, intervals.R_start, strict=True)):
-        i, j = 3 * int(intervals.start[k]), 3 * int(intervals.end[k])
-        A[k, :3, i : i + 3] = -motion.t_s * eye
-        A[k, 3:, i : i + 3], A[k, 3:, j : j + 3] = -eye, eye
-        A[k, :3, velocities] = intervals.moved[k]
-        A[k, :3, -6:-3], A[k, 3:, -6:-3] = R @ motion.J_p, R @ motion.J_v
-        A[k, :3, -3:], A[k, 3:, -3:] = -0.5 * motion.t_s**2 * eye, -motion.t_s * eye
-        b[k, :3], b[k, 3:] = R @ motion.p - intervals.lever_m[k], R @ motion.v
-    return A.reshape(6 * len(motions), -1), b.ravel()
+    count, velocities, eye = len(motions), 3 * (int(intervals.end.max()) + 1), np.eye(3)
+    t = np.array([motion.t_s for motion in motions])[:, None, None]
+    R = intervals.R_start
+    # Columns of each interval: velocity at its start, at its end, scale, bias, gravity
+    blocks = np.zeros((count, 6, 13))
+    blocks[:, :3, :3], blocks[:, 3:, :3], blocks[:, 3:, 3:6] = -t * eye, -eye, eye
+    blocks[:, :3, 6] = intervals.moved
+    blocks[:, :3, 7:10] = R @ np.stack([motion.J_p for motion in motions])
+    blocks[:, 3:, 7:10] = R @ np.stack([motion.J_v for motion in motions])
+    blocks[:, :3, 10:], blocks[:, 3:, 10:] = -0.5 * t**2 * eye, -t * eye
+    columns = np.empty((count, 13), np.int64)
+    columns[:, :3], columns[:, 3:6] = (3 * ends[:, None] + np.arange(3) for ends in (intervals.start, intervals.end))
+    columns[:, 6:] = velocities + np.arange(7)
+    places = np.repeat(np.arange(6 * count), 13), np.repeat(columns, 6, axis=0).ravel()
+    b = np.empty((count, 6))
+    b[:, :3] = np.einsum("nij,nj->ni", R, np.stack([motion.p for motion in motions])) - intervals.lever_m
+    b[:, 3:] = np.einsum("nij,nj->ni", R, np.stack([motion.v for motion in motions]))
+    return csr_array((blocks.ravel(), places), shape=(6 * count, velocities + 7)), b.ravel()
 
 
 def _whitening(motions: list[_Preintegrated], density: float, position_sigma_m: float) -> Array:
@@ -240,31 +253,58 @@ def _whitening(motions: list[_Preintegrated], density: float, position_sigma_m: 
     return np.linalg.inv(np.linalg.cholesky(covariance))
 
 
-def _least_squares(A: Array, b: Array, whitening: Array, bias_sigma: float, known_scale: bool) -> _Solution:
+def _least_squares(A: csr_array, b: Array, whitening: Array, bias_sigma: float, known_scale: bool) -> _Solution:
     """Return the weighted least-squares solution in which gravity has its magnitude."""
-    is_free = np.ones(A.shape[1], np.bool_)
+    unknowns = A.shape[1]
+    is_free = np.ones(unknowns, np.bool_)
     is_free[-7] = not known_scale
-    W, w = (np.einsum("nij,njc->nic", whitening, Y.reshape(len(whitening), 2, -1)) for Y in (A, b))
-    # A row of the reshaped arrays has three components of a position or of a velocity.
-    W, w = W.reshape(A.shape), w.reshape(b.shape)
-    prior = np.zeros((3, A.shape[1]))
-    prior[:, -6:-3] = np.eye(3) / bias_sigma
-    W, w = np.vstack([W, prior]), np.concatenate([w, np.zeros(3)])
-    x = np.zeros(A.shape[1])
+    # A block of six rows has three components of a position, then of a velocity.
+    weights = bsr_array((np.kron(whitening, np.eye(3)), np.arange(len(whitening)), np.arange(len(whitening) + 1)))
+    prior = csr_array((np.full(3, 1.0 / bias_sigma), (np.arange(3), unknowns - 6 + np.arange(3))), (3, unknowns))
+    W, w = vstack([weights @ A, prior]).tocsr(), np.concatenate([weights @ b, np.zeros(3)])
+    x = np.zeros(unknowns)
     x[-7] = 1.0
-    x[is_free] = np.linalg.lstsq(W[:, is_free], w - W[:, ~is_free] @ x[~is_free], rcond=None)[0]
+    x[is_free] = _NormalEquations(W[:, is_free]).solve(w - W[:, ~is_free] @ x[~is_free])
     for _ in range(GRAVITY_ITERATIONS):
         x[-3:] *= GRAVITY_M_S2 / np.linalg.norm(x[-3:])
-        tangent = tangent_bases(x[-3:] / GRAVITY_M_S2)
         # The unknowns with gravity in its tangent plane: x = x0 + N y
-        N = np.zeros((A.shape[1], A.shape[1] - 1))
-        N[:-3, :-2], N[-3:, -2:] = np.eye(A.shape[1] - 3), tangent.T
-        N = N[:, np.append(is_free[:-3], [True, True])]
-        J = W @ N
-        x = x + N @ np.linalg.lstsq(J, w - W @ x, rcond=None)[0]
+        tangent = tangent_bases(x[-3:] / GRAVITY_M_S2)
+        N = block_diag([eye_array(unknowns - 3, format="csr")[:, is_free[:-3]], tangent.T], format="csr")
+        J = csr_array(W @ N)
+        equations = _NormalEquations(J)
+        x = x + N @ equations.solve(w - W @ x)
     residuals = w - W @ x
-    variance = float(residuals @ residuals) / max(len(w) - J.shape[1], 1)
-    covariance = np.linalg.inv(J.T @ J) * max(variance, 1.0)
-    scale_variance = 0.0 if known_scale else float(covariance[-6, -6])
+    variance = max(float(residuals @ residuals) / max(len(w) - J.shape[1], 1), 1.0)
+    covariance = variance * equations.covariance(np.arange(J.shape[1] - 6, J.shape[1]))
+    scale_variance = 0.0 if known_scale else float(covariance[0, 0])
     gravity = x[-3:] * GRAVITY_M_S2 / np.linalg.norm(x[-3:])
     return _Solution(float(x[-7]), x[-6:-3], gravity, A @ x - b, scale_variance, covariance[-2:, -2:])
+
+
+class _NormalEquations:
+    """A sparse linear least-squares problem, by its normal equations with iterative refinement."""
+
+    def __init__(self, J: csr_array) -> None:
+        diagonal = np.asarray(J.multiply(J).sum(axis=0))
+        self._J, self._scale = J, 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+        scale = diags_array(self._scale)
+        H = scale @ (J.T @ J) @ scale + DAMPING * eye_array(J.shape[1])
+        symmetric = {"SymmetricMode": True}
+        self._factor = splu(H.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+
+    def solve(self, r: Array) -> Array:
+        """Return x (n,) of the smallest |J x − r|."""
+        x = np.zeros(self._J.shape[1])
+        for _ in range(REFINEMENTS):
+            x += self._inverse(self._J.T @ (r - self._J @ x))
+        return x
+
+    def covariance(self, columns: Indices) -> Array:
+        """Return the block of (JᵀJ)⁻¹ at some rows and columns (m,)."""
+        unit = np.zeros((self._J.shape[1], len(columns)))
+        unit[columns, np.arange(len(columns))] = 1.0
+        return self._inverse(unit)[columns]
+
+    def _inverse(self, b: Array) -> Array:
+        scale = self._scale if b.ndim == 1 else self._scale[:, None]
+        return np.asarray(scale * self._factor.solve(scale * b))
