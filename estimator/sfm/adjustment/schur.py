@@ -9,24 +9,27 @@ where V is block diagonal (Triggs et al., "Bundle adjustment: a modern synthesis
 matrix are sparse, in blocks: a point couples only the images that observe it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.sparse import bsr_array, csr_array
 from scipy.sparse.linalg import splu
 
-from dronevio.estimator.optimization.linalg import CholeskyFactor, SingularError
+from dronevio.estimator.optimization.linalg import RELATIVE_DAMPING, SingularError
 from dronevio.estimator.sfm.adjustment.reprojection import BLOCK
 from dronevio.models.arrays import Array
 
 Indices = npt.NDArray[np.int64]
+Solver: TypeAlias = Callable[[Array], Array]
+"""Function that returns H⁻¹ b for b (n,) or (n, m)."""
 
 DIAGONAL_BOUNDS = 1e-6, 1e32
 """Bounds of the diagonal elements by which the steps are damped."""
-DENSE_SHARE = 0.1
+DENSE_SHARE = 0.2
 """Share of the blocks above which the reduced matrix is factorized as a dense one."""
 DENSE_BLOCKS = 100
 """Number of blocks of rows below which it is, in any case."""
@@ -123,7 +126,7 @@ class NormalEquations:
             result[n] = solve(unit)[rows]
         return result
 
-    def _reduced(self, damping: Array, V: Array) -> tuple[Any, Array]:
+    def _reduced(self, damping: Array, V: Array) -> tuple[Solver, Array]:
         """Return the solver of the reduced equations, and the inverses (T, 3, 3) of the information on the points."""
         try:
             inverse = np.asarray(np.linalg.inv(V), np.float64)
@@ -133,14 +136,46 @@ class NormalEquations:
         scaled = bsr_array((self.W.data @ inverse[columns], columns, starts), shape=self.W.shape)
         S = bsr_array(self.U - scaled @ self.W.T)
         blocks = S.shape[0] // BLOCK
-        if blocks <= DENSE_BLOCKS or len(S.data) > DENSE_SHARE * blocks**2:
-            H = S.toarray()
-            H[np.diag_indices_from(H)] += damping
-            return CholeskyFactor(0.5 * (H + H.T)).solve, inverse
-        H = S.tocsc()
-        H.setdiag(H.diagonal() + damping)
-        try:
-            factor = splu(H, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        except RuntimeError as error:
-            raise SingularError("the linear system is singular") from error
-        return factor.solve, inverse
+        is_dense = blocks <= DENSE_BLOCKS or len(S.data) > DENSE_SHARE * blocks**2
+        return (_dense_solver if is_dense else _sparse_solver)(S, damping), inverse
+
+
+def _dense_solver(S: bsr_array, damping: Array) -> Solver:
+    """Return the solver of a symmetric matrix with an addition to its diagonal, by Cholesky's factorization in place.
+
+    Raises:
+        SingularError: The matrix is not positive definite.
+    """
+    H = S.toarray()
+    diagonal = np.diag(H) + damping
+    if not np.all(diagonal > 0.0):  # also if it is not finite
+        raise SingularError("a variable is not determined")
+    scale = 1.0 / np.sqrt(diagonal)
+    H *= scale[:, None]
+    H *= scale
+    H[np.diag_indices_from(H)] = 1.0 + RELATIVE_DAMPING
+    try:
+        factor = cho_factor(H.T, lower=True, overwrite_a=True, check_finite=False)
+    except LinAlgError as error:
+        raise SingularError("the linear system is indefinite") from error
+
+    def solve(b: Array) -> Array:
+        by = scale if b.ndim == 1 else scale[:, None]
+        return np.asarray(by * cho_solve(factor, by * b, check_finite=False))
+
+    return solve
+
+
+def _sparse_solver(S: bsr_array, damping: Array) -> Solver:
+    """Return the solver of a symmetric matrix with an addition to its diagonal, by a sparse factorization.
+
+    Raises:
+        SingularError: The matrix is singular.
+    """
+    H = S.tocsc()
+    H.setdiag(H.diagonal() + damping)
+    try:
+        factor = splu(H, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError as error:
+        raise SingularError("the linear system is singular") from error
+    return lambda b: np.asarray(factor.solve(b))
