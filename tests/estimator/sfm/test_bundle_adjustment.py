@@ -15,6 +15,7 @@ from dronevio.estimator.sfm.adjustment import (
     intrinsics_covariances,
     schur,
 )
+from dronevio.estimator.sfm.adjustment.bundle_adjustment import _problem
 from dronevio.estimator.sfm.adjustment.reprojection import Observations, Variables, derivatives, residuals
 from dronevio.estimator.sfm.adjustment.schur import Blocks, Groups, NormalEquations
 from dronevio.estimator.sfm.intrinsics import IntrinsicsPrior
@@ -243,6 +244,28 @@ def test_a_wrong_measured_point_is_an_outlier() -> None:
     found = adjust(scene, state, state.used(scene), EXACT, positions=positions)
     errors = np.linalg.norm(found.points - points, axis=1)
     assert errors.max() < 0.05 and errors[58] < 0.05
+
+
+def test_a_precise_measurement_moves_its_point() -> None:
+    scene, state = made_scene(noise_px=0.1, points=60)
+    target = state.points[-1] + [0.02, -0.03, 0.01]
+    positions = PositionPriors(
+        cameras=state.Ts_world_cam[:, :3, 3],
+        camera_sigmas=np.full((6, 3), 0.1),
+        points=target[None],
+        point_sigmas=np.full((1, 3), 1e-4),
+        cauchy_sigmas=1e3,
+    )
+    found = adjust(scene, state, state.used(scene), EXACT, positions=positions)
+    np.testing.assert_allclose(found.points[-1], target, atol=1e-3)
+
+
+def test_a_point_that_moves_behind_its_cameras_costs_more() -> None:
+    scene, state = made_scene()
+    problem, x = _problem(scene, state, state.used(scene), EXACT)
+    points = x.points.copy()
+    points[7, 2] = -5.0
+    assert problem.cost(replace(x, points=points)) > problem.cost(x) + 6 * 420.0**2
 
 
 def test_a_point_behind_a_camera_does_not_end_the_adjustment() -> None:

@@ -7,12 +7,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from scipy.interpolate import CubicSpline
+from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from dronevio.estimator.sfm.config import InertialConfig, SfmConfig
 from dronevio.estimator.sfm.model import Scene, initial_state
 from dronevio.estimator.sfm.pipeline import reconstruct
-from dronevio.estimator.sfm.placement.inertial import InertialAlignment, align_with_imu
+from dronevio.estimator.sfm.placement.inertial import InertialAlignment, _NormalEquations, align_with_imu
 from dronevio.estimator.sfm.placement.world import WorldFrame, place
 from dronevio.estimator.sfm.tracks import Tracks
 from dronevio.models.arrays import Array
@@ -190,3 +191,16 @@ def test_an_imu_that_does_not_suffice() -> None:
     unchanged, world = place(scene, state, images, SfmConfig(inertial=InertialConfig(use="off")))
     assert world == WorldFrame()
     assert unchanged is state
+
+
+def test_normal_equations_are_as_exact_as_an_orthogonal_decomposition() -> None:
+    """Columns of very different length, two of which are nearly parallel; the last one is zero."""
+    rng = np.random.default_rng(0)
+    J = rng.normal(size=(200, 12)) * 10.0 ** rng.uniform(-3.0, 3.0, 12)
+    J[:, 1] = J[:, 0] + 1e-4 * np.linalg.norm(J[:, 0]) * rng.normal(size=200)
+    r = rng.normal(size=200)
+    expected = np.linalg.lstsq(J, r, rcond=None)[0]
+    equations = _NormalEquations(csr_array(np.column_stack([J, np.zeros(200)])))
+    np.testing.assert_allclose(equations.solve(r), [*expected, 0.0], rtol=1e-7)
+    covariance = equations.covariance(np.arange(12))
+    np.testing.assert_allclose(covariance, np.linalg.inv(J.T @ J), rtol=1e-2, atol=1e-12 * np.abs(covariance).max())

@@ -308,3 +308,22 @@ def test_what_one_image_adds_is_what_all_tracks_would_give(scene: "SyntheticScen
     anew = _Visibility.of(problem, alone)
     np.testing.assert_array_equal(updated.points, anew.points)
     np.testing.assert_array_equal(updated.score, anew.score)
+
+
+def test_long_tracks_are_thinned_where_images_have_enough() -> None:
+    """Of 400 images, all but the last see 1000 points; the last sees 30 of them."""
+    images, points = 400, 1000
+    image = np.concatenate([np.tile(np.arange(images - 1), points), np.full(30, images - 1)])
+    track = np.concatenate([np.repeat(np.arange(points), images - 1), np.arange(30)])
+    order = np.lexsort([image, track])
+    tracks = Tracks(image[order], track[order], track[order])
+    count = len(order)
+    scene = Scene(tracks, np.zeros((count, 2)), np.ones(count), np.zeros(images, np.int64), np.array([True]))
+    chosen = _Mapper(scene, MapperConfig(), silent)._subset(np.ones(count, np.bool_))
+    per_image = np.bincount(tracks.image[chosen], minlength=images)
+    assert per_image[:-1].min() >= 80 and per_image[:-1].max() <= 400  # 1000 observations, thinned by ten
+    assert per_image[-1] == 30
+    per_track = np.bincount(tracks.track[chosen], minlength=points)
+    assert per_track.max() <= 41  # and the one of the last image
+    first = np.sort(tracks.image[chosen & (tracks.track == 500)])
+    assert set(np.diff(first)) == {10}
