@@ -66,7 +66,7 @@ class MeshConfig(Settings):
     """Largest number of voxels; larger voxels are used if the scene needs more."""
     min_triangles: Annotated[int, Range(0, 100_000_000)] = 100
     """Smallest number of triangles of a connected part of the mesh."""
-    texture_px: Annotated[int, Range(64, 65_536)] = 8192
+    texture_px: Annotated[int, Range(64, 32_768)] = 8192
     """Largest width and height of the texture of a mesh; the images are reduced until it suffices [px]."""
 
 
