@@ -72,7 +72,7 @@ def rows(command: ManyImagesCommand) -> Iterator[dict[str, str]]:
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, context, max_tasks_per_child=1) as pool:
         for program, count in jobs:
-            most = max(*command.counts, *command.colmap)
+            most = max((*command.counts, *command.colmap))
             outcome, memory_mb = pool.submit(reconstructed, program, command.recording, count, most).result()
             yield {
                 "program": program,
