@@ -18,6 +18,7 @@ from dronevio.estimator.sfm.model import Scene, SfmState, initial_state
 from dronevio.estimator.sfm.resection import resect
 from dronevio.estimator.sfm.structure import complete, remove_outliers, repair, triangulate
 from dronevio.estimator.sfm.two_view import Geometry, TwoView
+from dronevio.estimator.sfm.visibility import Visibility
 from dronevio.models.arrays import Array, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
@@ -34,8 +35,6 @@ MIN_POINTS = 10
 """Smallest number of points of the reconstruction that a component starts from."""
 MIN_AGREEMENT = 0.2
 """Smallest share of the observations that agree with known poses from which a reconstruction grows."""
-VISIBILITY_LEVELS = 6
-"""Number of levels of the grids that measure how evenly the visible points cover an image."""
 GLOBAL_RATIO = 1.2
 """Growth of the number of images between two adjustments of the whole reconstruction."""
 INTERMEDIATE_OBSERVATIONS = 300
@@ -166,43 +165,6 @@ def _covariances(scene: Scene, state: SfmState) -> dict[int, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Visibility:
-    """What the images see of the points, by which the next image is chosen."""
-
-    cells: Indices
-    """(M, 2) Column and line of the cell of each observation in the finest grid of its image."""
-    points: Indices
-    """(I,) Number of points that each image observes."""
-    score: Array
-    """(I,) How evenly they cover it."""
-
-    @classmethod
-    def of(cls, scene: Scene, state: SfmState) -> "_Visibility":
-        """Return the visibility of all points."""
-        sizes = np.array([[camera.width, camera.height] for camera in state.cameras])
-        relative = (scene.pixels + 0.5) / sizes[scene.image_camera[scene.tracks.image]]
-        cells = (np.clip(relative, 0.0, 1.0 - 1e-9) * 2**VISIBILITY_LEVELS).astype(np.int64)
-        none = cls(cells, np.zeros(scene.images, np.int64), np.zeros(scene.images))
-        return none.updated(scene, state, np.arange(scene.images))
-
-    def updated(self, scene: Scene, state: SfmState, images: Indices) -> "_Visibility":
-        """Return the visibility in which that of some images, in increasing order, is computed anew."""
-        index = np.concatenate([scene.tracks.of_image(image) for image in images.tolist()])
-        index = index[state.has_point[scene.tracks.track[index]]]
-        row, (column, line) = np.searchsorted(images, scene.tracks.image[index]), self.cells[index].T
-        occupied = np.zeros((len(images), 2**VISIBILITY_LEVELS, 2**VISIBILITY_LEVELS), np.bool_)
-        occupied[row, column, line] = True
-        score = np.zeros(len(images))
-        for level in range(VISIBILITY_LEVELS, 0, -1):
-            score += 4**level * occupied.sum(axis=(1, 2))
-            occupied = occupied[:, ::2] | occupied[:, 1::2]
-            occupied = occupied[:, :, ::2] | occupied[:, :, 1::2]
-        points, scores = self.points.copy(), self.score.copy()
-        points[images], scores[images] = np.bincount(row, minlength=len(images)), score
-        return replace(self, points=points, score=scores)
-
-
-@dataclass(frozen=True, eq=False)
 class _Mapper:
     scene: Scene
     config: MapperConfig
@@ -252,7 +214,7 @@ class _Mapper:
         """Register images until none is left that can be."""
         scene, config = self.scene, self.config
         adjusted_images = int(state.is_registered.sum())
-        visibility = _Visibility.of(scene, state)
+        visibility = Visibility.of(scene, state)
         failed_at = np.zeros(scene.images, np.int64)  # number of visible points at the last failure
         discards = np.zeros(scene.images, np.int64)  # how often each image was registered with a wrong pose
         is_last = False  # whether images that were left out have had their last trial
@@ -277,7 +239,7 @@ class _Mapper:
                 self.progress(count, scene.images)
                 if count >= GLOBAL_RATIO * adjusted_images:
                     state = self._discard(self._refine(state), discards)
-                    visibility = _Visibility.of(scene, state)
+                    visibility = Visibility.of(scene, state)
                     adjusted_images = count
                 continue
             # Without a candidate, global adjustment of what is new, or the end
@@ -289,7 +251,7 @@ class _Mapper:
                 is_last = True
                 discards[discards >= MAX_DISCARDS] = MAX_DISCARDS - 1
             state = self._discard(self._refine(state), discards)  # better points may admit further images
-            visibility = _Visibility.of(scene, state)
+            visibility = Visibility.of(scene, state)
             adjusted_images = count
             failed_at[:] = 0
 

@@ -17,7 +17,7 @@ from dronevio.estimator.sfm.config import (
     VerificationConfig,
 )
 from dronevio.estimator.sfm.intrinsics import IntrinsicsPrior
-from dronevio.estimator.sfm.mapper import MAX_DISCARDS, _Mapper, _Visibility, finish, map_scene
+from dronevio.estimator.sfm.mapper import MAX_DISCARDS, _Mapper, finish, map_scene
 from dronevio.estimator.sfm.matching import match_features
 from dronevio.estimator.sfm.model import Scene, SfmState, initial_state
 from dronevio.estimator.sfm.resection import resect
@@ -25,6 +25,7 @@ from dronevio.estimator.sfm.structure import remove_outliers, triangulate
 from dronevio.estimator.sfm.tracks import Tracks, connect_tracks
 from dronevio.estimator.sfm.triangulation import triangulate_tracks
 from dronevio.estimator.sfm.two_view import TwoView, verify, view_of
+from dronevio.estimator.sfm.visibility import Visibility
 from dronevio.eval.metrics.alignment import umeyama
 from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
@@ -304,8 +305,8 @@ def test_what_one_image_adds_is_what_all_tracks_would_give(scene: "SyntheticScen
     np.testing.assert_array_equal(alone.is_inlier, whole.is_inlier)
     np.testing.assert_allclose(alone.points, whole.points, atol=1e-3)  # of other hypotheses of RANSAC
     seeing = np.unique(problem.tracks.image[problem.tracks.of_tracks(observed)])
-    updated = _Visibility.of(problem, before).updated(problem, alone, seeing)
-    anew = _Visibility.of(problem, alone)
+    updated = Visibility.of(problem, before).updated(problem, alone, seeing)
+    anew = Visibility.of(problem, alone)
     np.testing.assert_array_equal(updated.points, anew.points)
     np.testing.assert_array_equal(updated.score, anew.score)
 
