@@ -22,7 +22,7 @@ def write_obj(path: Path, mesh: Mesh) -> None:
     """Write a mesh with the normals of its vertices, and its texture or the colours of the vertices.
 
     Args:
-        path: The file to write; with a texture, those with the suffixes .mtl and .jpg are written, too.
+        path: The file to write; the texture of ``mesh.obj`` is in ``mesh-texture.jpg``, its material in ``mesh.mtl``.
         mesh: The mesh.
 
     Raises:
@@ -48,9 +48,10 @@ def write_obj(path: Path, mesh: Mesh) -> None:
             normals,
             _lines("f" + 3 * " %d/%d/%d", corners),
         ]
-        material = f"newmtl texture\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nillum 1\nmap_Kd {path.stem}.jpg\n"
+        image = f"{path.stem}-texture.jpg"  # `mesh.jpg` is a picture of the report
+        material = f"newmtl texture\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nillum 1\nmap_Kd {image}\n"
         write_bytes(path.with_suffix(".mtl"), material.encode())
-        write_bytes(path.with_suffix(".jpg"), encode_jpeg(texture.image, _QUALITY))
+        write_bytes(path.with_name(image), encode_jpeg(texture.image, _QUALITY))
     write_bytes(path, b"".join(parts))
 
 

@@ -344,8 +344,10 @@ def test_surfaces_of_the_villa(
     assert origins == {place}
     summary = json.loads(capsys.readouterr().out)
     names = {"dense.jpg", "dense.ply", "mesh.jpg", "mesh.ply", "report.html", "report.json", "run.rrd"}
-    names |= {"mesh.glb", "mesh.obj"}
+    names |= {"mesh.glb", "mesh.obj", "mesh.mtl", "mesh-texture.jpg", "textured.jpg"}
     assert {path.name for path in (tmp_path / "dense").iterdir()} == names
+    texture = cv2.imread(str(tmp_path / "dense" / "mesh-texture.jpg"))  # not the picture of the mesh in the report
+    assert texture is not None and texture.shape[1] == 8192
     points = read_reconstruction(tmp_path / "dense" / "dense.ply").points
     assert len(points) == summary["points"] > 2000
     assert len(read_reconstruction(tmp_path / "dense" / "mesh.ply").points) == summary["vertices"] > 500

@@ -160,7 +160,7 @@ def test_a_textured_triangle_as_obj_by_hand(tmp_path: Path) -> None:
         "f 1/1/1 2/2/2 3/3/3",
         "",
     ]
-    assert "map_Kd a.jpg" in (tmp_path / "a.mtl").read_text(encoding="ascii")
+    assert "map_Kd a-texture.jpg" in (tmp_path / "a.mtl").read_text(encoding="ascii")
 
 
 @pytest.mark.parametrize("name", ["a.glb", "a.obj"])
