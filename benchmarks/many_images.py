@@ -28,7 +28,7 @@ from sfm_accuracy import Outcome, colmap, moving_frames, ours, true_positions
 
 from dronevio.models.image_sets import image_recording
 
-Program = Literal["dronevio", "COLMAP"]
+Program = Literal["dronevio", "COLMAP", "COLMAP, global mapper"]
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,8 @@ class ManyImagesCommand:
     """Numbers of images for this project."""
     colmap: tuple[int, ...] = (100, 1000)
     """Numbers of images for COLMAP."""
+    colmap_global: tuple[int, ...] = (1000,)
+    """Numbers of images for COLMAP with its global mapper (GLOMAP)."""
 
 
 def reconstructed(program: Program, recording: Path, count: int, most: int) -> tuple[Outcome, float]:
@@ -60,19 +62,21 @@ def reconstructed(program: Program, recording: Path, count: int, most: int) -> t
         outcome = ours(images, true)
     else:
         with tempfile.TemporaryDirectory() as folder:
-            [outcome] = colmap(images, true, None, Path(folder) / "colmap", seeds=1)
+            [outcome] = colmap(images, true, None, Path(folder) / "colmap", 1, is_global=program != "COLMAP")
     return outcome, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 def rows(command: ManyImagesCommand) -> Iterator[dict[str, str]]:
     """Yield a row for each program and number of images."""
-    jobs: list[tuple[Program, int]] = [("dronevio", n) for n in command.counts] + [
-        ("COLMAP", n) for n in command.colmap
-    ]
+    counts: dict[Program, tuple[int, ...]] = {
+        "dronevio": command.counts,
+        "COLMAP": command.colmap,
+        "COLMAP, global mapper": command.colmap_global,
+    }
+    most = max(map(max, filter(None, counts.values())))
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, context, max_tasks_per_child=1) as pool:
-        for program, count in jobs:
-            most = max((*command.counts, *command.colmap))
+        for program, count in [(program, n) for program, numbers in counts.items() for n in numbers]:
             outcome, memory_mb = pool.submit(reconstructed, program, command.recording, count, most).result()
             yield {
                 "program": program,

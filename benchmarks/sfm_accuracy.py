@@ -166,11 +166,16 @@ def ours(images: ImageSet, true: Array) -> Outcome:
 
 
 def colmap(
-    images: ImageSet, true: Array, pairs: Sequence[tuple[int, int]] | None, folder: Path, seeds: int
+    images: ImageSet,
+    true: Array,
+    pairs: Sequence[tuple[int, int]] | None,
+    folder: Path,
+    seeds: int,
+    is_global: bool = False,
 ) -> list[Outcome]:
     """Return COLMAP's reconstructions of the same images and pairs, one for each seed of the mapping.
 
-    Without pairs, COLMAP's sequential matcher chooses them.
+    Without pairs, COLMAP's sequential matcher chooses them. Its mapper is the incremental or the global one (GLOMAP).
     """
     import pycolmap
 
@@ -190,6 +195,9 @@ def colmap(
         ba_refine_principal_point=False,
         ba_refine_extra_params=False,
     )
+    global_mapping = pycolmap.GlobalPipelineOptions(num_threads=2)
+    global_mapping.mapper.bundle_adjustment.refine_focal_length = False
+    global_mapping.mapper.bundle_adjustment.refine_extra_params = False
     database = folder / "database.db"
     pycolmap.set_random_seed(0)
     clock, costs = Stopwatch(), dict[str, tuple[float, float]]()
@@ -212,7 +220,11 @@ def colmap(
     for seed in range(seeds):
         pycolmap.set_random_seed(seed)
         clock.lap()
-        models = pycolmap.incremental_mapping(database, folder / "images", folder / f"models-{seed}", options=mapping)
+        results = folder / f"models-{seed}"
+        if is_global:
+            models = pycolmap.global_mapping(database, folder / "images", results, options=global_mapping)
+        else:
+            models = pycolmap.incremental_mapping(database, folder / "images", results, options=mapping)
         costs["mapping"] = clock.lap()
         times_s, cpu_s = {name: cost[0] for name, cost in costs.items()}, sum(cost[1] for cost in costs.values())
         if not models:
