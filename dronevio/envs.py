@@ -14,6 +14,7 @@ import gymnasium
 from dronevio.models.rig import Rig, euroc_rig
 
 if TYPE_CHECKING:
+    from dronevio.sim.envs import *  # noqa: F403 for type checkers, as `__getattr__` does it
     from dronevio.sim.envs.sensing.estimation import EstimatorFactory
     from dronevio.sim.envs.single import DroneEnv
     from dronevio.sim.envs.tasks import AnyTask

@@ -234,10 +234,10 @@ class StraightFlight:
         Raises:
             ConfigError: The environment has other actions than velocities, or lacks an observation.
         """
-        if environment.action != "velocity" or not {"goals", "rotation"} <= set(environment.observations):
+        if environment.action != "velocity" or not {"goals", "rotation"} <= set(environment.policy_names):
             raise ConfigError(
                 f"straight flight with the action mode {environment.action!r} and the observations"
-                f" {', '.join(environment.observations)}; expected 'velocity' and goals, rotation"
+                f" {', '.join(environment.policy_names)}; expected 'velocity' and goals, rotation"
             )
         return cls(environment.action_limits)
 

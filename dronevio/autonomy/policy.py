@@ -106,11 +106,11 @@ class PlannerPolicy:
         Raises:
             ConfigError: The environment has other actions than velocities, or lacks an observation.
         """
-        missing = [name for name in OBSERVATIONS if name not in environment.observations]
+        missing = [name for name in OBSERVATIONS if name not in environment.policy_names]
         if missing or environment.action != "velocity":
             raise ConfigError(
                 f"planner in an environment with the action mode {environment.action!r} and the observations"
-                f" {', '.join(environment.observations)}; expected 'velocity' and {', '.join(OBSERVATIONS)}"
+                f" {', '.join(environment.policy_names)}; expected 'velocity' and {', '.join(OBSERVATIONS)}"
             )
         return cls(
             environment.rig.cameras[environment.camera],

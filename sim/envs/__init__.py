@@ -14,14 +14,17 @@ if TYPE_CHECKING:
     from dronevio.sim.envs.policies.mission import PolicyMission, policy_mission, policy_outcome
     from dronevio.sim.envs.policies.pilot import PolicyPilot
     from dronevio.sim.envs.sensing.estimation import Estimation
+    from dronevio.sim.envs.sensing.observations import ObservedState, OwnObservation
     from dronevio.sim.envs.sensing.ray_maps import MapSettings
     from dronevio.sim.envs.settings import EnvironmentSettings
     from dronevio.sim.envs.single import DroneEnv
     from dronevio.sim.envs.tasks import (
+        BaseTask,
         Explore,
         Hover,
         Navigate,
         Objective,
+        PointGoals,
         Race,
         Start,
         Task,
@@ -37,6 +40,7 @@ if TYPE_CHECKING:
 __all__ = [
     "MODERATE",
     "ActionLimits",
+    "BaseTask",
     "Constant",
     "DroneEnv",
     "DroneVectorEnv",
@@ -49,6 +53,9 @@ __all__ = [
     "Navigate",
     "Normal",
     "Objective",
+    "ObservedState",
+    "OwnObservation",
+    "PointGoals",
     "PolicyMission",
     "PolicyPilot",
     "Race",
@@ -83,14 +90,17 @@ __getattr__, __dir__ = attach(
         "dronevio.sim.envs.policies.pilot": ("PolicyPilot",),
         "dronevio.sim.envs.episodes.endings": ("Termination",),
         "dronevio.sim.envs.episodes.randomization": ("MODERATE", "Randomization"),
+        "dronevio.sim.envs.sensing.observations": ("ObservedState", "OwnObservation"),
         "dronevio.sim.envs.sensing.ray_maps": ("MapSettings",),
         "dronevio.sim.envs.settings": ("EnvironmentSettings",),
         "dronevio.sim.envs.single": ("DroneEnv",),
         "dronevio.sim.envs.tasks": (
+            "BaseTask",
             "Explore",
             "Hover",
             "Navigate",
             "Objective",
+            "PointGoals",
             "Race",
             "Start",
             "Task",

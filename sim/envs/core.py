@@ -128,11 +128,16 @@ class DroneCore:
             images=None if self._renderer is None else self._renderer.start(count),
         )
         limits = limits_of(self.area, self._objective(), settings.vehicle, settings.samples, settings.mapping.shape)
+        own = settings.own_observations
         self.arrangement = Arrangement(
-            {name: observation_named(name, limits) for name in settings.observed if name not in settings.images},
+            {
+                name: own[name].observation() if name in own else observation_named(name, limits)
+                for name in settings.observed
+                if name not in settings.images
+            },
             {} if self._renderer is None else self._renderer.spaces,
-            settings.observations,
-            settings.privileged,
+            settings.policy_names,
+            settings.critic_names,
             settings.flat,
         )
 
@@ -226,13 +231,17 @@ class DroneCore:
         sigma_m = np.zeros(self.count) if self._loop is None else self._loop.position_sigma_m
         seen_m3 = np.zeros(self.count) if self._maps is None else self._maps.advance(self._T_world_imu(after))
         step = Transition(last.states, after, action, last.action, self._t_s, reason > 0, standing_m, sigma_m, seen_m3)
+        failed = _checked_mask(task, "failed", task.failed(self.area, last.goals, step), self.count)
+        reason = np.where((reason == 0) & failed, Termination.TASK_FAILED, reason)
+        step = replace(step, failed=reason > 0)
         goals = task.advance(self.area, last.goals, step)
         terms = _checked_terms(task, task.reward_terms(self.area, last.goals, goals, step), self.count)
         images = None if last.images is None else last.images.one_step_later()
         self._episode = EpisodeState(last.randomized, goals, after, last.begun_ns, action, delayed, loops, images)
-        reason = np.where((reason == 0) & task.finished(goals), Termination.SUCCESS, reason)
+        success = _checked_mask(task, "success", task.success(self.area, goals, step), self.count) & ~step.failed
+        reason = np.where(success & task.ends_with_success, Termination.SUCCESS, reason)
         info = {
-            "success": task.success(self.area, goals, step) & ~step.failed,
+            "success": success,
             "termination": reason,
             "reward_terms": terms,
             **self._state_info(),
@@ -417,3 +426,16 @@ def _checked_terms(task: AnyTask, terms: Mapping[str, Any], count: int) -> dict[
             continue
         raise ConfigError(f"reward term {name!r} of {type(task).__name__} {found}; expected {count} finite numbers")
     return checked
+
+
+def _checked_mask(task: AnyTask, name: str, mask: Any, count: int) -> Mask:
+    """Return a mask (n,) of a task.
+
+    Raises:
+        ConfigError: It has another shape or type.
+    """
+    values = np.asarray(mask)
+    if values.shape != (count,) or values.dtype != np.bool_:
+        found = f"shape {values.shape} and type {values.dtype}"
+        raise ConfigError(f"{type(task).__name__}.{name} returned {found}; expected {count} values of type bool")
+    return values

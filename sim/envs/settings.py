@@ -1,5 +1,6 @@
 """Settings of an environment: task, vehicle, world, sensors, actions, observations, randomization and rates."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from typing import Annotated, Any
 
@@ -13,7 +14,7 @@ from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.sim.envs.episodes.randomization import NOTHING_RANDOM, Randomization, RandomizedParameters
 from dronevio.sim.envs.sensing.camera_observation import ImageKind, ImageSettings, RenderedObservation
 from dronevio.sim.envs.sensing.estimation import CameraSetup, Estimation, EstimatorFactory
-from dronevio.sim.envs.sensing.observations import IMAGES
+from dronevio.sim.envs.sensing.observations import IMAGES, OwnObservation
 from dronevio.sim.envs.sensing.ray_maps import MapSettings
 from dronevio.sim.envs.tasks import AnyTask, Hover, task_named
 from dronevio.sim.physics.wind import CALM, Wind
@@ -41,10 +42,11 @@ class EnvironmentSettings(Settings):
     """Action mode: ``rotors``, ``rates``, ``attitude``, ``velocity`` or ``position``; that of the task by default."""
     action_limits: ActionLimits = field(default_factory=ActionLimits)
     """Largest rates, tilt and velocities that actions command."""
-    observations: tuple[str, ...] = ()
-    """Names of the observations, see `dronevio.sim.envs.sensing.observations`; those of the task by default."""
-    privileged: tuple[str, ...] = ()
-    """Names of further observations for a critic. The observation is then a ``Dict`` with the entries ``policy`` and
+    observations: tuple[str | OwnObservation, ...] = ()
+    """Names of the observations, see `dronevio.sim.envs.sensing.observations`, or observations of one's own; those of
+    the task by default."""
+    privileged: tuple[str | OwnObservation, ...] = ()
+    """Further observations for a critic. The observation is then a ``Dict`` with the entries ``policy`` and
     ``critic``."""
     flat: bool = False
     """Whether the observation is one vector, with the observations in the order of their names, instead of a
@@ -87,8 +89,9 @@ class EnvironmentSettings(Settings):
         for name, group in groups.items():
             if isinstance(group, str):
                 raise ConfigError(f"{name} = {group!r}; expected a tuple of names, such as ({group!r},)")
-            if len(set(group)) < len(group):
-                raise ConfigError(f"{name} = {', '.join(group)}; expected each name once")
+            names = _names(group)
+            if len(set(names)) < len(names):
+                raise ConfigError(f"{name} = {', '.join(names)}; expected each name once")
         images = self.images
         if self.flat and images:
             raise ConfigError(f"flat observations with {images[0]!r}; expected no images, or flat=False")
@@ -122,7 +125,22 @@ class EnvironmentSettings(Settings):
     @property
     def observed(self) -> tuple[str, ...]:
         """Names of all observations, those of the policy first."""
-        return (*self.observations, *self.privileged)
+        return (*self.policy_names, *self.critic_names)
+
+    @property
+    def policy_names(self) -> tuple[str, ...]:
+        """Names of the observations of the policy."""
+        return _names(self.observations)
+
+    @property
+    def critic_names(self) -> tuple[str, ...]:
+        """Names of the observations of the critic."""
+        return _names(self.privileged)
+
+    @property
+    def own_observations(self) -> dict[str, OwnObservation]:
+        """Observations of one's own by name."""
+        return {one.name: one for one in (*self.observations, *self.privileged) if not isinstance(one, str)}
 
     @property
     def images(self) -> tuple[ImageKind, ...]:
@@ -214,6 +232,11 @@ def settings_of(
         camera_rate_hz=others.pop("camera_rate_hz", 0.0) or action_rate_hz,
         **others,
     )
+
+
+def _names(observations: Iterable[str | OwnObservation]) -> tuple[str, ...]:
+    """Return the names of observations."""
+    return tuple(one if isinstance(one, str) else one.name for one in observations)
 
 
 def _require_fraction(name: str, rate_hz: float, of: str, whole_hz: float) -> None:

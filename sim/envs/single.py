@@ -48,7 +48,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
     |---|---|
     | ``success`` | whether the vehicle does what the task demands; not after a reset |
     | ``termination`` | why the episode has terminated, a `Termination`: ``NONE`` (0), ``SUCCESS``, ``NO_ESTIMATE``, \
-``FLIPPED``, ``OUT_OF_BOUNDS``, ``GROUND``, ``COLLISION`` or ``DIVERGED``; not after a reset |
+``FLIPPED``, ``OUT_OF_BOUNDS``, ``GROUND``, ``COLLISION``, ``DIVERGED`` or ``TASK_FAILED``; not after a reset |
     | ``reward_terms`` | terms of the reward by name; not after a reset |
     | ``distance_m`` | distance from the current goal [m] |
     | ``t_ns`` | time since the start of the episode [ns] |

@@ -99,6 +99,9 @@ def test_python_examples_run(page: str, tmp_path: Path, monkeypatch: pytest.Monk
     villa = Path(gtsam.findExampleDataFile("Balbianello/BalbianelloMedium-1.jpg")).parent
     shutil.copytree(villa, tmp_path / "photographs")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    for name, code in re.findall(r"The file `(\w+\.py)`:\n\n```python\n(.*?)^```$", text_of(page), re.M | re.S):
+        (tmp_path / name).write_text(code, encoding="utf-8")
     for code in blocks(page, "python"):
         compiled = compile(code, page, "exec")
         if "stable_baselines3" not in code or importlib.util.find_spec("stable_baselines3"):  # no dependency

@@ -385,13 +385,14 @@ def test_landings_have_to_be_soft_and_on_the_pad(x: float, velocity: float, land
     end_s = task.descent_from_s
     down = hovered(0.0, velocity, end_s + 1.0, x, before=0.05)
     goals = task.advance(AREA, goals, down)
-    assert goals.impact_m_s[0] == -velocity and not task.finished(goals)[0]
+    assert goals.impact_m_s[0] == -velocity and not task.success(AREA, goals, down)[0]
     for t_s in (end_s + 1.02, end_s + 1.5):
-        goals = task.advance(AREA, goals, hovered(0.0, 0.0, t_s, x))
-        assert not task.finished(goals)[0]
+        resting = hovered(0.0, 0.0, t_s, x)
+        goals = task.advance(AREA, goals, resting)
+        assert not task.success(AREA, goals, resting)[0]
     last = hovered(0.0, 0.0, end_s + 1.53, x)
     after = task.advance(AREA, goals, last)
-    assert task.finished(after)[0] == task.success(AREA, after, last)[0] == landed
+    assert task.success(AREA, after, last)[0] == landed and task.ends_with_success
     terms = task.reward_terms(AREA, goals, after, last)
     assert terms["landed"][0] == 100.0 * landed and terms["uncertainty"][0] == pytest.approx(-0.6)
 
@@ -409,9 +410,10 @@ def test_the_worst_touchdown_of_an_episode_counts(hop_m: float, worst_m_s: float
         (0.0, 0.0, 0.0, t_s[3]),
     ):
         goals = task.advance(AREA, goals, hovered(height, velocity, t, before=before))
-    goals = task.advance(AREA, goals, hovered(0.0, 0.0, t_s[3] + 1.0))
+    last = hovered(0.0, 0.0, t_s[3] + 1.0)
+    goals = task.advance(AREA, goals, last)
     assert goals.impact_m_s[0] == worst_m_s
-    assert not task.finished(goals)[0]
+    assert not task.success(AREA, goals, last)[0]
 
 
 @pytest.mark.parametrize(("descent_m_s", "softly"), [(0.4, True), (2.0, False)])
@@ -449,8 +451,9 @@ def test_standing_before_the_flight_is_no_landing() -> None:
     task = VioHover()
     _, goals = task.begin(AREA, None, None, 1)  # type: ignore[arg-type]
     for t_s in (0.02, 5.0):
-        goals = task.advance(AREA, goals, hovered(0.0, 0.0, t_s))
-    assert not task.finished(goals)[0]
+        standing = hovered(0.0, 0.0, t_s)
+        goals = task.advance(AREA, goals, standing)
+        assert not task.success(AREA, goals, standing)[0]
 
 
 def test_the_goal_of_vio_hover_rises_stays_and_descends() -> None:

@@ -14,6 +14,7 @@ from dronevio.sim.envs.tasks import (
     Explore,
     Hover,
     Navigate,
+    PointGoals,
     Race,
     Track,
     Transition,
@@ -21,7 +22,6 @@ from dronevio.sim.envs.tasks import (
     task_named,
 )
 from dronevio.sim.envs.tasks.explore import ExploreGoals
-from dronevio.sim.envs.tasks.navigate import NavigateGoals
 from dronevio.sim.envs.tasks.race import RaceGoals
 from dronevio.sim.envs.tasks.track import TrackGoals
 from dronevio.sim.envs.tasks.waypoints import WaypointsGoals
@@ -60,7 +60,6 @@ def test_episodes_start_within_the_bounds(name: str) -> None:
     low, high = task.bounds_m(AREA)
     assert np.all(states.position_m > low) and np.all(states.position_m < high)
     assert np.linalg.norm(states.position_m - states.position_m[0], axis=1).max() > 0.5
-    assert not task.finished(goals).any()
     objective = task.objective(AREA, goals, np.zeros(200))
     assert np.all(objective.position_m > low) and np.all(objective.position_m < high)
 
@@ -114,7 +113,7 @@ def test_waypoints_are_reached_in_order() -> None:
     assert task.advance(AREA, goals, aside).reached[0] == 0  # the second point does not count before the first
     there = step([0.0, 0.0, 1.0], [0.8, 0.0, 1.0])
     after = task.advance(AREA, goals, there)
-    assert after.reached[0] == 1 and not task.finished(after)[0]
+    assert after.reached[0] == 1 and not task.success(AREA, after, there)[0]
     terms = task.reward_terms(AREA, goals, after, there)
     assert terms["progress"][0] == pytest.approx(5.0 * 0.04)  # not more, since it is faster than what is rewarded
     assert terms["reached"][0] == 5.0 and terms["failure"][0] == 0.0
@@ -124,7 +123,7 @@ def test_waypoints_are_reached_in_order() -> None:
         task.objective(AREA, after, np.zeros(1)).position_m[0], [[0.0, 1.0, 1.0], [0.0, 1.0, 1.0]]
     )
     end = task.advance(AREA, after, step([0.8, 0.0, 1.0], [0.0, 1.1, 1.0]))
-    assert task.finished(end)[0] and task.success(AREA, end, there)[0]
+    assert task.success(AREA, end, there)[0] and task.ends_with_success
 
 
 def test_waypoints_keep_their_distance() -> None:
@@ -185,7 +184,7 @@ def test_the_race_ends_after_all_gates() -> None:
         before, goals = goals, task.advance(AREA, goals, made)
         assert goals.passed[0] == count
         assert task.reward_terms(AREA, before, goals, made)["passed"][0] == 3.0
-    assert task.finished(goals)[0]
+    assert task.success(AREA, goals, through[-1])[0] and task.ends_with_success
     assert task.reward_terms(AREA, goals, goals, step(np.zeros(3), np.zeros(3), failed=True))["failure"][0] == -5.0
 
 
@@ -229,11 +228,10 @@ def test_navigation_starts_and_ends_in_free_space() -> None:
 
 def test_navigation_ends_at_the_goal() -> None:
     task = Navigate()
-    goals = NavigateGoals(np.array([[5.0, 5.0, 2.0]]), np.zeros(1, np.bool_))
+    goals = PointGoals(np.array([[5.0, 5.0, 2.0]]))
     made = step([4.0, 5.0, 2.0], [4.6, 5.0, 2.0])
-    after = task.advance(AREA, goals, made)
-    assert task.finished(after)[0]
-    terms = task.reward_terms(AREA, goals, after, made)
+    assert task.success(AREA, goals, made)[0] and task.ends_with_success
+    terms = task.reward_terms(AREA, goals, goals, made)
     assert (terms["progress"][0], terms["reached"][0]) == (pytest.approx(0.6), 10.0)
 
 

@@ -29,6 +29,8 @@ class Termination(IntEnum):
     """It touched an obstacle."""
     DIVERGED = 7
     """The simulation has diverged."""
+    TASK_FAILED = 8
+    """It failed by a rule of the task (`Task.failed`)."""
 
     @property
     def text(self) -> str:

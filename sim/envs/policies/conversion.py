@@ -51,7 +51,7 @@ def policy_from_torch(
     shapes = envs.unwrapped.observation_shapes
     if not environment and spec is None:
         raise ConfigError("environments that were made without an id; expected the argument 'environment'")
-    inputs = tuple(NamedShape(name, shapes[name]) for name in settings.observations)
+    inputs = tuple(NamedShape(name, shapes[name]) for name in settings.policy_names)
     return Policy(
         environment=environment or spec.id,
         vehicle=_vehicle_name(settings.vehicle),

@@ -121,9 +121,10 @@ def policy_outcome(mission: PolicyMission, flight: Flight, began_ns: int | None)
         goals = task.advance(area, goals, step)
         success = bool(task.success(area, goals, step)[0])
         reason = int(failures(now, none, none, none, mission.bounds)[0])
-        if reason or task.finished(goals)[0] or t_s >= task.episode_s - 1e-9:
+        is_done = success and task.ends_with_success
+        if reason or is_done or t_s >= task.episode_s - 1e-9:
             success &= not reason
-            end = Termination(reason).text or ("success" if task.finished(goals)[0] else "time limit")
+            end = Termination(reason).text or ("success" if is_done else "time limit")
             break
     else:
         success = False

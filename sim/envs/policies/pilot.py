@@ -94,7 +94,7 @@ class PolicyPilot:
         The task is accomplished, its time limit is reached, or the vehicle is upside down or on the ground.
         """
         task, flown = self._mission.task, self._flown
-        return self._t_s >= task.episode_s - 1e-9 or bool(task.finished(flown.goals)[0]) or flown.failed
+        return self._t_s >= task.episode_s - 1e-9 or flown.ended
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Add the IMU samples since the last call."""
@@ -150,10 +150,12 @@ class PolicyPilot:
 
     def _acting(self, flown: "_Flown", state: NavState, now: VehicleStates) -> "_Flown":
         """Return the flight with goals updated by the motion since the last action, and a new action."""
-        mission, goals, nothing = self._mission, flown.goals, np.zeros(1, np.bool_)
+        mission, goals, nothing, ended = self._mission, flown.goals, np.zeros(1, np.bool_), False
+        task = mission.task
         if flown.calls:
             step = Transition(flown.before, now, flown.action, flown.action, np.array([self._t_s]), nothing)
-            goals = mission.task.advance(mission.area, goals, step)
+            goals = task.advance(mission.area, goals, step)
+            ended = bool(task.ends_with_success and task.success(mission.area, goals, step)[0])
         observed = ObservedState(
             now,
             self._objective(goals),
@@ -165,8 +167,8 @@ class PolicyPilot:
         )
         observation = {name: one.observe(observed) for name, one in self._named.items()}
         action = np.asarray(mission.policy.action(observation), dtype=np.float64)
-        failed = bool(failures(now, nothing, nothing, nothing, self._limits)[0])
-        return replace(flown, goals=goals, action=action, before=now, failed=failed)
+        ended |= bool(failures(now, nothing, nothing, nothing, self._limits)[0])
+        return replace(flown, goals=goals, action=action, before=now, ended=ended)
 
     def _objective(self, goals: Any) -> Objective:
         """Return the current and the following goals."""
@@ -189,8 +191,8 @@ class _Flown:
     """(1, 4) Last action."""
     before: VehicleStates = field(default_factory=lambda: VehicleStates.at(np.zeros((1, 3))))
     """State at the last action."""
-    failed: bool = False
-    """Whether the vehicle was upside down or on the ground at the last action."""
+    ended: bool = False
+    """Whether the task was accomplished, or the vehicle upside down or on the ground, at the last action."""
 
 
 class _TakeOff:

@@ -152,6 +152,63 @@ class Observation:
         return np.clip(self.values(state), self.space.low, self.space.high).astype(np.float32)
 
 
+@dataclass(frozen=True, eq=False)
+class OwnObservation:
+    """An observation of one's own.
+
+    ```python
+    def tilt_rad(state: ObservedState) -> Array:
+        return np.arccos(state.states.R_world_vehicle[:, 2, 2:])
+
+    gymnasium.make(id, observations=("goals", OwnObservation("tilt", (1,), 0.0, np.pi, tilt_rad)))
+    ```
+    """
+
+    name: str
+    """Name, which no other observation has."""
+    shape: tuple[int, ...]
+    """Shape of the values of one environment."""
+    low: npt.ArrayLike
+    """Lower bound, which is broadcast to the shape."""
+    high: npt.ArrayLike
+    """Upper bound, which is broadcast to the shape."""
+    values: Callable[[ObservedState], Array]
+    """Function that returns the values (n, …) of n environments, which are clipped to the bounds."""
+
+    def __post_init__(self) -> None:
+        """Check name and bounds.
+
+        Raises:
+            ConfigError: The name is that of another observation, or the bounds do not fit the shape or are no range.
+        """
+        if self.name in NAMES or self.name in IMAGES or not self.name.isidentifier():
+            raise ConfigError(f"own observation {self.name!r}; expected an identifier that names no other observation")
+        try:
+            low, high = (np.broadcast_to(np.asarray(bound, np.float64), self.shape) for bound in (self.low, self.high))
+        except ValueError:
+            raise ConfigError(f"bounds of the observation {self.name!r} do not fit its shape {self.shape}") from None
+        if not (np.isfinite(low) & np.isfinite(high) & (low < high)).all():
+            raise ConfigError(f"bounds of the observation {self.name!r}; expected finite ones, low < high")
+
+    def observation(self) -> Observation:
+        """Return the observation, whose values are checked."""
+        return Observation(_box(self.shape, self.low, self.high), self._checked)
+
+    def _checked(self, state: ObservedState) -> Array:
+        """Return the values of n environments.
+
+        Raises:
+            ConfigError: They have another shape or are not finite.
+        """
+        values, shape = np.asarray(self.values(state), dtype=np.float64), (len(state.last_action), *self.shape)
+        if values.shape != shape:
+            raise ConfigError(f"values of the observation {self.name!r} of shape {values.shape}; expected {shape}")
+        if not np.isfinite(values).all():
+            row = int(np.argmin(np.isfinite(values).reshape(len(values), -1).all(axis=1)))
+            raise ConfigError(f"observation {self.name!r} of environment {row}: {values[row]}; expected finite values")
+        return values
+
+
 def observation_named(name: str, limits: Limits) -> Observation:
     """Return the observation with a given name.
 

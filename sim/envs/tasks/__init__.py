@@ -5,7 +5,7 @@ from dronevio.sim.envs.tasks.explore import Explore
 from dronevio.sim.envs.tasks.hover import Hover
 from dronevio.sim.envs.tasks.navigate import Navigate
 from dronevio.sim.envs.tasks.race import Race
-from dronevio.sim.envs.tasks.task import AnyTask, Objective, Start, Task, Transition
+from dronevio.sim.envs.tasks.task import AnyTask, BaseTask, Objective, PointGoals, Start, Task, Transition
 from dronevio.sim.envs.tasks.track import Track
 from dronevio.sim.envs.tasks.vio_hover import VioHover
 from dronevio.sim.envs.tasks.vio_navigate import VioNavigate
@@ -14,10 +14,12 @@ from dronevio.sim.envs.tasks.waypoints import Waypoints
 __all__ = [
     "TASKS",
     "AnyTask",
+    "BaseTask",
     "Explore",
     "Hover",
     "Navigate",
     "Objective",
+    "PointGoals",
     "Race",
     "Start",
     "Task",

@@ -10,7 +10,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.ranges import Range
 from dronevio.sim.envs.tasks.places import free_places
-from dronevio.sim.envs.tasks.task import Objective, Start, TaskSettings, Transition, penalties, weighted
+from dronevio.sim.envs.tasks.task import BaseTask, Objective, Start, Transition, penalties, weighted
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import Table, VehicleStates
 
@@ -28,7 +28,7 @@ class ExploreGoals(Table):
 
 
 @dataclass(frozen=True)
-class Explore(TaskSettings):
+class Explore(BaseTask):
     """See as much as possible of an unknown office: ``dronevio/Explore-v0``.
 
     ## Description
@@ -93,6 +93,8 @@ class Explore(TaskSettings):
     """Name of the default action mode."""
     maps: ClassVar[bool] = True
     """Whether the task depends on maps of what has been seen."""
+    ends_with_success: ClassVar[bool] = False
+    """Whether a success ends the episode."""
 
     world: str = "office"
     """Name of the world."""

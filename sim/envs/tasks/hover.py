@@ -9,9 +9,9 @@ from dronevio.models.arrays import Array, Mask
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.ranges import Range
 from dronevio.sim.envs.tasks.task import (
+    BaseTask,
     Objective,
     Start,
-    TaskSettings,
     Transition,
     action_change,
     closeness,
@@ -35,7 +35,7 @@ class HoverGoals(Table):
 
 
 @dataclass(frozen=True)
-class Hover(TaskSettings):
+class Hover(BaseTask):
     """Bring a disturbed quadrotor to a point 1.2 m above the landing pad and keep it there: ``dronevio/Hover-v0``.
 
     ## Description
@@ -87,6 +87,8 @@ force [m/s²] in the IMU's frame, with noise and biases |
     """Names of the default observations."""
     default_action: ClassVar[str] = "rotors"
     """Name of the default action mode."""
+    ends_with_success: ClassVar[bool] = False
+    """Whether a success ends the episode."""
 
     world: str = "room"
     """Name of the world."""

@@ -1,6 +1,6 @@
 """Task Navigate: reach a goal among obstacles by camera."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -10,9 +10,9 @@ from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.ranges import Range
 from dronevio.sim.envs.tasks.places import free_places
 from dronevio.sim.envs.tasks.task import (
-    Objective,
+    BaseTask,
+    PointGoals,
     Start,
-    TaskSettings,
     Transition,
     approach_m,
     distance_m,
@@ -20,24 +20,14 @@ from dronevio.sim.envs.tasks.task import (
     weighted,
 )
 from dronevio.sim.paths.space import FlightArea
-from dronevio.sim.physics.vehicle_states import Table, VehicleStates
+from dronevio.sim.physics.vehicle_states import VehicleStates
 
 _START = Start(position_m=0.1, velocity_m_s=0.3, tilt_rad=0.1, rate_rad_s=0.3)
 _TRIES = 64  # goals drawn for each start, of which the first at a suitable distance is taken
 
 
-@dataclass(frozen=True, eq=False)
-class NavigateGoals(Table):
-    """Goals of n episodes."""
-
-    goal_m: Array
-    """(n, 3) Places to reach in the world [m]."""
-    reached: Mask
-    """(n,) Whether the goals have been reached."""
-
-
 @dataclass(frozen=True)
-class Navigate(TaskSettings):
+class Navigate(BaseTask):
     """Reach a goal among the trees of a forest by a depth camera: ``dronevio/Navigate-v0``.
 
     ## Description
@@ -125,40 +115,28 @@ class Navigate(TaskSettings):
 
     def begin(
         self, area: FlightArea, quadrotor: Quadrotor, rng: np.random.Generator, count: int
-    ) -> tuple[VehicleStates, NavigateGoals]:
+    ) -> tuple[VehicleStates, PointGoals]:
         """Draw starts and goals in free space."""
         places = free_places(area, self.height_m, self.clearance_m)
         start = places[rng.integers(0, len(places), count)]
         goal = drawn_goals(self, area, start, rng)
         heading = goal - start
         states = self.start.states(start, quadrotor, rng, np.arctan2(heading[:, 1], heading[:, 0]))
-        return states, NavigateGoals(goal, np.zeros(count, dtype=np.bool_))
-
-    def objective(self, area: FlightArea, goals: NavigateGoals, t_s: Array) -> Objective:
-        """Return the goals."""
-        return Objective.of(goals.goal_m[:, None])
-
-    def advance(self, area: FlightArea, goals: NavigateGoals, step: Transition) -> NavigateGoals:
-        """Mark the goals that are reached."""
-        return replace(goals, reached=goals.reached | (distance_m(step.after, goals.goal_m) < self.tolerance_m))
+        return states, PointGoals(goal)
 
     def reward_terms(
-        self, area: FlightArea, before: NavigateGoals, goals: NavigateGoals, step: Transition
+        self, area: FlightArea, before: PointGoals, goals: PointGoals, step: Transition
     ) -> dict[str, Array]:
         """Return the terms of the reward."""
         return {
             "progress": self.progress * approach_m(step, goals.goal_m),
-            "reached": weighted(self.reached, goals.reached & ~before.reached),
+            "reached": weighted(self.reached, self.success(area, goals, step)),
             **penalties(step, self.rate, self.smoothness, self.failure),
         }
 
-    def finished(self, goals: NavigateGoals) -> Mask:
-        """Return which goals have been reached."""
-        return goals.reached
-
-    def with_goal(self, goals: NavigateGoals, goal_m: Array) -> NavigateGoals:
-        """Return given goals (n, 3) [m]."""
-        return replace(goals, goal_m=goal_m)
+    def success(self, area: FlightArea, goals: PointGoals, step: Transition) -> Mask:
+        """Return which goals are reached."""
+        return distance_m(step.after, goals.goal_m) < self.tolerance_m
 
 
 def drawn_goals(task: Navigate, area: FlightArea, start: Array, rng: np.random.Generator) -> Array:

@@ -10,7 +10,7 @@ from dronevio.models.arrays import Array, Mask
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.ranges import Range
-from dronevio.sim.envs.tasks.task import Objective, Start, TaskSettings, Transition, penalties, weighted
+from dronevio.sim.envs.tasks.task import BaseTask, Objective, Start, Transition, penalties, weighted
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import Table, VehicleStates
 
@@ -34,7 +34,7 @@ class RaceGoals(Table):
 
 
 @dataclass(frozen=True)
-class Race(TaskSettings):
+class Race(BaseTask):
     """Fly three laps through the gates of a race course: ``dronevio/Race-v0``.
 
     ## Description
@@ -181,7 +181,7 @@ frame [m] |
         along = np.vecdot(offset, gate.direction[:, 0])
         return np.asarray(np.sqrt(self.across * (np.vecdot(offset, offset) - along**2) + along**2))
 
-    def finished(self, goals: RaceGoals) -> Mask:
+    def success(self, area: FlightArea, goals: RaceGoals, step: Transition) -> Mask:
         """Return where all laps are complete."""
         return goals.passed >= goals.total
 

@@ -3,7 +3,8 @@
 All functions are pure and operate on n episodes at once; row k of every array belongs to episode k.
 """
 
-from dataclasses import dataclass, field
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
@@ -110,6 +111,8 @@ class Task(Protocol[Goals]):
     """Whether standing on the ground is part of the task; otherwise it is a failure."""
     maps: ClassVar[bool]
     """Whether the task depends on maps of what has been seen."""
+    ends_with_success: ClassVar[bool]
+    """Whether a success ends the episode; otherwise it goes on until the time limit."""
 
     @property
     def world(self) -> str:
@@ -150,11 +153,17 @@ class Task(Protocol[Goals]):
             step: The step.
         """
 
-    def finished(self, goals: Goals) -> Mask:
-        """Return in which episodes (n,) the task is accomplished, which ends them."""
-
     def success(self, area: FlightArea, goals: Goals, step: Transition) -> Mask:
         """Return in which episodes (n,) the vehicles do at this time what the task demands."""
+
+    def failed(self, area: FlightArea, goals: Goals, step: Transition) -> Mask:
+        """Return which episodes (n,) end by a failure of this task, beside those that `Termination` lists.
+
+        Args:
+            area: The world.
+            goals: The goals before the step.
+            step: The step, whose `Transition.failed` has the other failures.
+        """
 
     def with_goal(self, goals: Goals, goal_m: Array) -> Goals:
         """Return goals whose first goal is given, (n, 3) [m].
@@ -168,26 +177,74 @@ AnyTask = Task[Any]
 """A task with goals of any type."""
 
 
-@dataclass(frozen=True)
-class TaskSettings(Settings):
-    """Base of tasks: what most of them have in common."""
+@dataclass(frozen=True, eq=False)
+class PointGoals(Table):
+    """One point to reach for each of n episodes."""
 
+    goal_m: Array
+    """(n, 3) Points in the world [m]."""
+
+
+@dataclass(frozen=True)
+class BaseTask(Settings, ABC):
+    """Base of tasks: what most of them have in common, and the defaults of a task of one's own.
+
+    A subclass defines `begin` and `reward_terms`, and `success` if it is to end otherwise than by a failure or the time
+    limit. Its goals are `PointGoals`, or any frozen dataclass of arrays derived from
+    `dronevio.sim.physics.vehicle_states.Table`, with `objective`, `advance` and `with_goal` of its own.
+    """
+
+    default_observations: ClassVar[tuple[str, ...]] = ("position", "rotation", "velocity", "rate")
+    """Names of the default observations; see `dronevio.sim.envs.sensing.observations`."""
+    default_action: ClassVar[str] = "rates"
+    """Name of the default action mode; see `dronevio.sim.envs.episodes.actions`."""
     lands: ClassVar[bool] = False
     """Whether standing on the ground is part of the task; otherwise it is a failure."""
     maps: ClassVar[bool] = False
     """Whether the task depends on maps of what has been seen."""
+    ends_with_success: ClassVar[bool] = True
+    """Whether a success ends the episode; otherwise it goes on until the time limit."""
+
+    world: str = "room"
+    """Name of the world."""
+    episode_s: Annotated[float, Range(0.1, 1e5)] = 10.0
+    """Time limit of an episode [s]."""
+    obstacles: bool = False
+    """Whether the obstacles and walls of the world are part of the physics; otherwise only a floor is."""
 
     def bounds_m(self, area: FlightArea) -> Array:
         """Return the free box (2, 3) of the world [m]."""
         return area.free_box
 
-    def finished(self, goals: Any) -> Mask:
-        """Return False everywhere: the task goes on until the time limit."""
-        return np.zeros(len(goals), dtype=np.bool_)
+    @abstractmethod
+    def begin(
+        self, area: FlightArea, quadrotor: Quadrotor, rng: np.random.Generator, count: int
+    ) -> tuple[VehicleStates, Any]:
+        """Draw the initial states and the goals of ``count`` episodes."""
+
+    def objective(self, area: FlightArea, goals: Any, t_s: Array) -> Objective:
+        """Return the points to reach."""
+        return Objective.of(goals.goal_m[:, None])
+
+    def advance(self, area: FlightArea, goals: Any, step: Transition) -> Any:
+        """Return the same goals."""
+        return goals
+
+    @abstractmethod
+    def reward_terms(self, area: FlightArea, before: Any, goals: Any, step: Transition) -> dict[str, Array]:
+        """Return the terms of the reward (n,) by name."""
 
     def success(self, area: FlightArea, goals: Any, step: Transition) -> Mask:
-        """Return in which episodes the task is accomplished."""
-        return self.finished(goals)
+        """Return False everywhere."""
+        return np.zeros(len(step.t_s), dtype=np.bool_)
+
+    def failed(self, area: FlightArea, goals: Any, step: Transition) -> Mask:
+        """Return False everywhere."""
+        return np.zeros(len(step.t_s), dtype=np.bool_)
+
+    def with_goal(self, goals: Any, goal_m: Array) -> Any:
+        """Return given points (n, 3) [m]."""
+        return replace(goals, goal_m=goal_m)
 
 
 def flight_box_m(area: FlightArea, margin_m: float) -> Array:

@@ -11,9 +11,9 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.ranges import Range
 from dronevio.sim.envs.tasks.task import (
+    BaseTask,
     Objective,
     Start,
-    TaskSettings,
     Transition,
     action_change,
     closeness,
@@ -56,7 +56,7 @@ class TrackGoals(Table):
 
 
 @dataclass(frozen=True)
-class Track(TaskSettings):
+class Track(BaseTask):
     """Follow a reference that moves on a random Lissajous curve: ``dronevio/Track-v0``.
 
     ## Description
@@ -108,6 +108,8 @@ frame [m] |
     """Names of the default observations."""
     default_action: ClassVar[str] = "rates"
     """Name of the default action mode."""
+    ends_with_success: ClassVar[bool] = False
+    """Whether a success ends the episode."""
 
     world: str = "room"
     """Name of the world."""

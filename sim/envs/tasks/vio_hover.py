@@ -8,7 +8,7 @@ import numpy as np
 from dronevio.models.arrays import Array, Mask
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.ranges import Range
-from dronevio.sim.envs.tasks.task import Objective, TaskSettings, Transition, action_change, closeness, weighted
+from dronevio.sim.envs.tasks.task import BaseTask, Objective, Transition, action_change, closeness, weighted
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import Table, VehicleStates
 
@@ -33,7 +33,7 @@ class VioHoverGoals(Table):
 
 
 @dataclass(frozen=True)
-class VioHover(TaskSettings):
+class VioHover(BaseTask):
     """Take off, hover for 60 s and land, flown on visual-inertial odometry: ``dronevio/VioHover-v0``.
 
     ## Description
@@ -173,7 +173,7 @@ class VioHover(TaskSettings):
             "failure": weighted(-self.failure, step.failed),
         }
 
-    def finished(self, goals: VioHoverGoals) -> Mask:
+    def success(self, area: FlightArea, goals: VioHoverGoals, step: Transition) -> Mask:
         """Return which vehicles have landed."""
         return goals.landed
 

@@ -9,8 +9,8 @@ from dronevio.models.arrays import Array
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.ranges import Range
 from dronevio.models.rotation import rotation_z
-from dronevio.sim.envs.tasks.navigate import Navigate, NavigateGoals, drawn_goals
-from dronevio.sim.envs.tasks.task import Transition
+from dronevio.sim.envs.tasks.navigate import Navigate, drawn_goals
+from dronevio.sim.envs.tasks.task import PointGoals, Transition
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import VehicleStates
 
@@ -84,16 +84,16 @@ class VioNavigate(Navigate):
 
     def begin(
         self, area: FlightArea, quadrotor: Quadrotor, rng: np.random.Generator, count: int
-    ) -> tuple[VehicleStates, NavigateGoals]:
+    ) -> tuple[VehicleStates, PointGoals]:
         """Draw goals in free space, and return vehicles on the pad."""
         pad = np.tile(area.pad, (count, 1))
         goal = drawn_goals(self, area, pad, rng)
         heading = goal - pad
         R = rotation_z(np.arctan2(heading[:, 1], heading[:, 0]))
-        return VehicleStates.at(pad, R), NavigateGoals(goal, np.zeros(count, dtype=np.bool_))
+        return VehicleStates.at(pad, R), PointGoals(goal)
 
     def reward_terms(
-        self, area: FlightArea, before: NavigateGoals, goals: NavigateGoals, step: Transition
+        self, area: FlightArea, before: PointGoals, goals: PointGoals, step: Transition
     ) -> dict[str, Array]:
         """Return the terms of the reward."""
         return {

@@ -10,9 +10,9 @@ from dronevio.models.arrays import Array, Mask
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.ranges import Range
 from dronevio.sim.envs.tasks.task import (
+    BaseTask,
     Objective,
     Start,
-    TaskSettings,
     Transition,
     approach_m,
     distance_m,
@@ -45,7 +45,7 @@ class WaypointsGoals(Table):
 
 
 @dataclass(frozen=True)
-class Waypoints(TaskSettings):
+class Waypoints(BaseTask):
     """Fly through five random points in a room, one after another: ``dronevio/Waypoints-v0``.
 
     ## Description
@@ -159,7 +159,7 @@ class Waypoints(TaskSettings):
             **penalties(step, self.rate, self.smoothness, self.failure),
         }
 
-    def finished(self, goals: WaypointsGoals) -> Mask:
+    def success(self, area: FlightArea, goals: WaypointsGoals, step: Transition) -> Mask:
         """Return where all points have been reached."""
         return goals.reached >= self.count
 
