@@ -5,6 +5,7 @@ compared as RootSIFT (Arandjelović and Zisserman, "Three things everyone should
 CVPR 2012): the inner product of two descriptors is the Bhattacharyya coefficient of their histograms.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -72,14 +73,12 @@ def detect_features(
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         mask = None if mask is None else cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) != 0
     detector = cv2.SIFT.create(
-        nfeatures=config.max_features,
-        contrastThreshold=config.contrast_threshold,
-        edgeThreshold=EDGE_THRESHOLD,
-        enable_precise_upscale=True,
+        contrastThreshold=config.contrast_threshold, edgeThreshold=EDGE_THRESHOLD, enable_precise_upscale=True
     )
-    keypoints, described = detector.detectAndCompute(grey, None if mask is None else mask.astype(np.uint8))
-    if not keypoints:
+    found = detector.detect(grey, None if mask is None else mask.astype(np.uint8))
+    if not found:
         return NO_FEATURES
+    keypoints, described = detector.compute(grey, _strongest(found, config.max_features))
     # Keypoints of one position have several orientations: an order without ties keeps the result deterministic.
     reduced = np.array([columns, rows]) / grey.shape[::-1]
     pixels = (np.asarray(cv2.KeyPoint.convert(keypoints), np.float64) + 0.5) * reduced - 0.5
@@ -91,6 +90,17 @@ def detect_features(
     if colours.ndim == 1:
         colours = np.repeat(colours[:, None], 3, axis=1)
     return Features(pixels[order], sizes[order], _root_sift(np.asarray(described, np.float32)[order]), colours)
+
+
+def _strongest(keypoints: Sequence[cv2.KeyPoint], count: int) -> Sequence[cv2.KeyPoint]:
+    """Return the keypoints for which contrast times size is largest.
+
+    Of the strongest contrasts alone, most are specks of sand, grass or foliage, which no other image shows.
+    """
+    if len(keypoints) <= count:
+        return keypoints
+    strengths = [keypoint.response * keypoint.size for keypoint in keypoints]
+    return [keypoints[i] for i in np.argsort(strengths, kind="stable")[-count:]]
 
 
 def _root_sift(described: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:

@@ -65,13 +65,14 @@ TRAININGS: dict[str, Training] = {
     "hover": Training(
         "dronevio/Hover-v0",
         samples=800_000,
-        arguments={"observations": ("position", "rotation", "velocity", "rate")},
+        arguments={"action": "rotors", "observations": ("position", "rotation", "velocity", "rate")},
         of_training={"max_episode_steps": 150, **_FASTER},
     ),
     "hover-imu": Training(
         "dronevio/Hover-v0",
         samples=1_500_000,
         arguments={
+            "action": "rotors",
             "observations": ("position", "rotation", "velocity", "imu", "last_action"),
             "randomization": MODERATE,
         },

@@ -16,7 +16,6 @@ from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
 from dronevio.sim.envs.episodes.distributions import Constant, Uniform
 from dronevio.sim.envs.episodes.randomization import Randomization
-from dronevio.sim.envs.tasks.hover import Hover
 from dronevio.sim.envs.vector import DroneVectorEnv
 from dronevio.sim.inertial.batch_imu import BatchImuErrors
 from dronevio.sim.physics.batch_plant import BatchPlant
@@ -30,6 +29,7 @@ STEP_S = 1e-3
 """Time step of the physics [s]."""
 _EPISODE = 500  # actions between two resets of a vehicle
 _HEIGHT_M = 50.0
+_STATE = ("position", "orientation", "velocity", "rotors")  # observations of the environments
 _WIND = Wind((3.0, 1.0, 0.0), gusts=1.0)
 
 
@@ -195,8 +195,8 @@ def _environment(count: int, imu: bool) -> Callable[[int], None]:
     """Return a function that steps the vector environment once, given the number of the action."""
     mass = Uniform(0.8, 1.2)
     random = Randomization(mass=mass, inertia=mass, gusts=Constant(_WIND.gusts), wind_m_s=Constant(_WIND.speed_m_s))
-    observations = tuple(name for name in Hover.default_observations if imu or name != "imu")
-    envs = DroneVectorEnv(count, "hover", flat=True, observations=observations, randomization=random)
+    observations = (*_STATE, "imu") if imu else _STATE
+    envs = DroneVectorEnv(count, "hover", flat=True, action="rotors", observations=observations, randomization=random)
     envs.reset(seed=0)
     actions = np.zeros((count, 4), dtype=np.float32)
 

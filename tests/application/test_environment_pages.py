@@ -61,7 +61,7 @@ def test_spaces_in_a_page_are_those_of_the_environment(pages: Any) -> None:
     page = pages.page("dronevio/Hover-v0")
     assert "| time limit | 500 steps, 10 s |" in page
     assert "| action | (4,) | float32 | −1 | 1 |" in page
-    assert "| `imu` | (4, 6) | float32 | −17.45, −176.6 | 17.45, 176.6 |" in page
+    assert "| `rate` | (3,) | float32 | −17.45 | 17.45 |" in page
     assert "| `height_m` | `1.2` | Height of the target above the landing pad [m]. |" in page
 
 

@@ -43,8 +43,8 @@ class Hover(BaseTask):
     fly to the target and stay there. The world is the furnished room, of which the free space in the middle is used.
 
     ## Action space
-    ``Box(-1, 1, (4,), float32)``. By default the speeds of the four rotors (mode ``rotors``): −1 is standstill, 0 the
-    hover speed and 1 the largest speed. `dronevio.sim.envs.episodes.actions` describes the other modes.
+    ``Box(-1, 1, (4,), float32)``. By default collective thrust and body rates (mode ``rates``);
+    `dronevio.sim.envs.episodes.actions` describes all modes and their units.
 
     ## Observation space
     A ``Dict`` of ``Box`` with these entries by default; `dronevio.sim.envs.sensing.observations` describes all that can
@@ -53,11 +53,9 @@ class Hover(BaseTask):
     | key | shape | content |
     |---|---|---|
     | ``position`` | (3,) float32 | position relative to the target, in the world frame [m] |
-    | ``orientation`` | (4,) float32 | quaternion wxyz, vehicle to world, w ≥ 0 |
+    | ``rotation`` | (3, 3) float32 | rotation matrix, vehicle to world |
     | ``velocity`` | (3,) float32 | velocity in the world frame [m/s] |
-    | ``rotors`` | (4,) float32 | rotor speeds relative to the largest speed |
-    | ``imu`` | (4, 6) float32 | IMU samples since the last action at 200 Hz: angular velocity [rad/s] and specific \
-force [m/s²] in the IMU's frame, with noise and biases |
+    | ``rate`` | (3,) float32 | angular velocity in the vehicle frame [rad/s] |
 
     ## Rewards
     The sum of two terms per step, which are in ``info["reward_terms"]``. With the distance d from the target, the
@@ -83,10 +81,6 @@ force [m/s²] in the IMU's frame, with noise and biases |
     - v0: initial version.
     """
 
-    default_observations: ClassVar[tuple[str, ...]] = ("position", "orientation", "velocity", "rotors", "imu")
-    """Names of the default observations."""
-    default_action: ClassVar[str] = "rotors"
-    """Name of the default action mode."""
     ends_with_success: ClassVar[bool] = False
     """Whether a success ends the episode."""
 
