@@ -1,7 +1,7 @@
 """The documentation site: its navigation is complete, its examples name what exists, its tables are well formed."""
 
 import functools
-import importlib.util
+import importlib
 import re
 import shlex
 import shutil
@@ -104,7 +104,7 @@ def test_python_examples_run(page: str, tmp_path: Path, monkeypatch: pytest.Monk
         (tmp_path / name).write_text(code, encoding="utf-8")
     for code in blocks(page, "python"):
         compiled = compile(code, page, "exec")
-        if "stable_baselines3" not in code or importlib.util.find_spec("stable_baselines3"):  # no dependency
+        if "stable_baselines3" not in code:  # no dependency; tests/sim/test_rl_examples.py runs the training
             exec(compiled, {})
 
 

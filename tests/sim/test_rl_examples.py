@@ -86,3 +86,32 @@ def test_a_short_training_writes_its_results(example: Any, module: str, tmp_path
     assert result["samples"] == 16_384
     assert result["curve"]["samples"] == "8192 16384"
     assert result["evaluation"]["episodes"] == 100
+
+
+def test_the_guide_shows_the_first_training() -> None:
+    """Page and file are the same script, of at most 20 lines."""
+    script = (FOLDER / "first_policy.py").read_text(encoding="utf-8").partition('"""\n\n')[2]
+    page = (FOLDER.parents[1] / "docs" / "rl.md").read_text(encoding="utf-8")
+    assert f"```python\n{script}```" in page and len(script.splitlines()) <= 20
+
+
+def test_the_first_training_begins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One rollout and one update, which takes ten seconds."""
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.chdir(tmp_path)
+    script = (FOLDER / "first_policy.py").read_text(encoding="utf-8")
+    assert "learn(500_000)" in script and "episodes=200" in script
+    exec(compile(script.replace("500_000", "1").replace("episodes=200", "episodes=2"), "first_policy.py", "exec"), {})
+    assert dv.load_policy("hover.safetensors").provenance.samples == 16 * 2048
+
+
+@pytest.mark.parametrize("envs", [1, 2])
+def test_default_trainings_write_their_curves(example: Any, envs: int, tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    module = example("default_ppo")
+    command = module.DefaultCommand("hover", envs=envs, samples=1, every=1000, seeds=(3,), results=tmp_path)
+    module.main(command)
+    result = json.loads((tmp_path / f"default-ppo-hover-{envs}-3.json").read_text(encoding="utf-8"))
+    assert result["curve"]["samples"] == str(2048 * envs) and float(result["curve"]["success_rate"]) <= 0.5
+    module.main(module.DefaultCommand(results=tmp_path, draw=tmp_path / "curve.svg"))
+    assert "<svg" in (tmp_path / "curve.svg").read_text(encoding="utf-8")
