@@ -11,7 +11,7 @@ class FeatureConfig(Settings):
     """Detection of features."""
 
     max_features: Annotated[int, Range(50, 50_000)] = 2000
-    """Largest number of features of an image; those whose contrast times size is largest are kept."""
+    """Largest number of features of an image; of the largest ones, those of highest contrast are kept."""
     contrast_threshold: Annotated[float, Range(above=0.0, high=1.0)] = 0.02
     """Smallest contrast of a keypoint, in the scale of OpenCV."""
     max_side_px: Annotated[int, Range(100, 100_000)] = 3200

@@ -21,6 +21,9 @@ DESCRIPTOR_SCALE = 512.0
 EDGE_THRESHOLD = 10.0
 """Largest ratio of the principal curvatures of a keypoint."""
 
+CANDIDATES = 2
+"""Number of keypoints, the largest ones, that compete for each feature that is kept."""
+
 UNCERTAIN_SIZE_PX = 8.0
 """Diameter at which the variance of the position of a feature is twice that of small features [px]."""
 
@@ -93,14 +96,16 @@ def detect_features(
 
 
 def _strongest(keypoints: Sequence[cv2.KeyPoint], count: int) -> Sequence[cv2.KeyPoint]:
-    """Return the keypoints for which contrast times size is largest.
+    """Return the keypoints of highest contrast among the largest ones.
 
-    Of the strongest contrasts alone, most are specks of sand, grass or foliage, which no other image shows.
+    In photographs of sand, grass or foliage, the strongest of all are specks, which no other image shows.
     """
     if len(keypoints) <= count:
         return keypoints
-    strengths = [keypoint.response * keypoint.size for keypoint in keypoints]
-    return [keypoints[i] for i in np.argsort(strengths, kind="stable")[-count:]]
+    sizes = np.array([keypoint.size for keypoint in keypoints])
+    contrasts = np.array([keypoint.response for keypoint in keypoints])
+    largest = np.argsort(-sizes, kind="stable")[: CANDIDATES * count]
+    return [keypoints[i] for i in largest[np.argsort(-contrasts[largest], kind="stable")[:count]]]
 
 
 def _root_sift(described: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
