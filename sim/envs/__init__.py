@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from dronevio.sim.envs.policies.pilot import PolicyPilot
     from dronevio.sim.envs.sensing.estimation import Estimation
     from dronevio.sim.envs.sensing.observations import ObservedState, OwnObservation
+    from dronevio.sim.envs.sensing.range_beams import BeamSettings
     from dronevio.sim.envs.sensing.ray_maps import MapSettings
     from dronevio.sim.envs.settings import EnvironmentSettings
     from dronevio.sim.envs.single import DroneEnv
@@ -41,6 +42,7 @@ __all__ = [
     "MODERATE",
     "ActionLimits",
     "BaseTask",
+    "BeamSettings",
     "Constant",
     "DroneEnv",
     "DroneVectorEnv",
@@ -91,6 +93,7 @@ __getattr__, __dir__ = attach(
         "dronevio.sim.envs.episodes.endings": ("Termination",),
         "dronevio.sim.envs.episodes.randomization": ("MODERATE", "Randomization"),
         "dronevio.sim.envs.sensing.observations": ("ObservedState", "OwnObservation"),
+        "dronevio.sim.envs.sensing.range_beams": ("BeamSettings",),
         "dronevio.sim.envs.sensing.ray_maps": ("MapSettings",),
         "dronevio.sim.envs.settings": ("EnvironmentSettings",),
         "dronevio.sim.envs.single": ("DroneEnv",),

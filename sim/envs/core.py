@@ -22,6 +22,7 @@ from dronevio.sim.envs.sensing.estimator_loop import EstimatorLoop
 from dronevio.sim.envs.sensing.held_images import HeldImages, ImageRenderer
 from dronevio.sim.envs.sensing.imu_window import ImuWindow
 from dronevio.sim.envs.sensing.observations import ObservedState, limits_of, observation_named
+from dronevio.sim.envs.sensing.range_beams import RangeBeams
 from dronevio.sim.envs.sensing.ray_maps import FINER, RayMaps, world_cells
 from dronevio.sim.envs.settings import EnvironmentSettings
 from dronevio.sim.envs.tasks import AnyTask, Objective, Transition
@@ -114,6 +115,10 @@ class DroneCore:
             else None
         )
         self._maps = self._unknown_maps() if settings.has_map else None
+        world = settings.world, settings.world_seed
+        self._beams = (
+            RangeBeams(count, world, settings.beams, settings.steps_per_ranging) if settings.has_beams else None
+        )
         self._rng = np.random.default_rng(0)
         self._loop: EstimatorLoop | None = None
         states, goals = self._begin(count)
@@ -127,7 +132,14 @@ class DroneCore:
             loops=self._mode.start(states),
             images=None if self._renderer is None else self._renderer.start(count),
         )
-        limits = limits_of(self.area, self._objective(), settings.vehicle, settings.samples, settings.mapping.shape)
+        limits = limits_of(
+            self.area,
+            self._objective(),
+            settings.vehicle,
+            settings.samples,
+            settings.mapping.shape,
+            settings.beams,
+        )
         own = settings.own_observations
         self.arrangement = Arrangement(
             {
@@ -166,6 +178,8 @@ class DroneCore:
         self._rng = rng
         self.plant.reseed(rng)
         self._imu.reseed(rng)
+        if self._beams is not None:
+            self._beams.reseed(rng)
 
     def reset(self, mask: Mask, options: Mapping[str, Any]) -> dict[str, Any]:
         """Start new episodes of the environments in a mask (n,).
@@ -204,6 +218,8 @@ class DroneCore:
             self._wait_for_estimate(settings.estimator, states)
         if self._maps is not None:
             self._maps.restart(mask, self._T_world_imu(self.states))
+        if self._beams is not None:
+            self._beams.restart(mask, self.states)
         loops = merged(mask, self._mode.start(self._perceived()), last.loops)
         self._episode = replace(self._episode, loops=loops)
         return {**self._state_info(), "randomization": randomized.values()}
@@ -230,6 +246,8 @@ class DroneCore:
         standing_m = self.plant.standing_height_m
         sigma_m = np.zeros(self.count) if self._loop is None else self._loop.position_sigma_m
         seen_m3 = np.zeros(self.count) if self._maps is None else self._maps.advance(self._T_world_imu(after))
+        if self._beams is not None:
+            self._beams.advance(after)
         step = Transition(last.states, after, action, last.action, self._t_s, reason > 0, standing_m, sigma_m, seen_m3)
         failed = _checked_mask(task, "failed", task.failed(self.area, last.goals, step), self.count)
         reason = np.where((reason == 0) & failed, Termination.TASK_FAILED, reason)
@@ -264,6 +282,7 @@ class DroneCore:
             now.action,
             now.randomized,
             None if self._maps is None else self._maps.around,
+            None if self._beams is None else self._beams.ranges_m,
         )
         seen = true if self._loop is None else replace(true, states=self._loop.states(), imu_bias=self._loop.bias)
         return self.arrangement.observe(seen, true, {} if now.images is None else now.images.images)
@@ -280,6 +299,7 @@ class DroneCore:
             "plant": self.plant.save(),
             "imu": self._imu.save(),
             "maps": None if self._maps is None else self._maps.save(),
+            "beams": None if self._beams is None else self._beams.save(),
             "rng": self._rng.bit_generator.state,
         }
 
@@ -295,6 +315,8 @@ class DroneCore:
         self._imu.restore(saved["imu"])
         if self._maps is not None:
             self._maps.restore(saved["maps"])
+        if self._beams is not None:
+            self._beams.restore(saved["beams"])
         self._rng.bit_generator.state = saved["rng"]
 
     def close(self) -> None:

@@ -15,6 +15,7 @@ from dronevio.sim.envs.episodes.randomization import NOTHING_RANDOM, Randomizati
 from dronevio.sim.envs.sensing.camera_observation import ImageKind, ImageSettings, RenderedObservation
 from dronevio.sim.envs.sensing.estimation import CameraSetup, Estimation, EstimatorFactory
 from dronevio.sim.envs.sensing.observations import IMAGES, OwnObservation
+from dronevio.sim.envs.sensing.range_beams import DEFAULT_BEAMS, BeamSettings
 from dronevio.sim.envs.sensing.ray_maps import MapSettings
 from dronevio.sim.envs.tasks import AnyTask, Hover, task_named
 from dronevio.sim.physics.wind import CALM, Wind
@@ -73,6 +74,8 @@ class EnvironmentSettings(Settings):
     """Settings of the estimator in the loop: latency, longest wait, darkness and image sensors."""
     mapping: MapSettings = field(default_factory=MapSettings)
     """Settings of the map, of a task or with the observation ``local_map``: rays, cells and observed part."""
+    beams: BeamSettings = DEFAULT_BEAMS
+    """Settings of the range sensor, with the observation ``ranges``: directions, reach and errors."""
     threads: Annotated[int, Range(0, 1024)] = 1
     """Number of threads of the physics; 0 means one for each processor. Results do not depend on it."""
 
@@ -113,6 +116,8 @@ class EnvironmentSettings(Settings):
             raise ConfigError("a map of true poses with an estimator; expected observations without 'local_map'")
         if self.has_map:
             _require_fraction("mapping.rate_hz", self.mapping.rate_hz, "action_rate_hz", self.action_rate_hz)
+        if self.has_beams:
+            _require_fraction("beams.rate_hz", self.beams.rate_hz, "action_rate_hz", self.action_rate_hz)
         _require_fraction("action_rate_hz", self.action_rate_hz, "imu_rate_hz", self.imu_rate_hz)
         _require_fraction("camera_rate_hz", self.camera_rate_hz, "action_rate_hz", self.action_rate_hz)
         _require_fraction("imu_rate_hz", self.imu_rate_hz, "physics_rate_hz", self.physics_rate_hz)
@@ -151,6 +156,16 @@ class EnvironmentSettings(Settings):
     def has_map(self) -> bool:
         """Whether the environment maps, for its task or for the observation ``local_map``."""
         return self.task.maps or "local_map" in self.observed
+
+    @property
+    def has_beams(self) -> bool:
+        """Whether the environment has range sensors."""
+        return "ranges" in self.observed
+
+    @property
+    def steps_per_ranging(self) -> int:
+        """Number of actions from one measurement of the range sensor to the next."""
+        return round(self.action_rate_hz / self.beams.rate_hz)
 
     @property
     def steps_per_cast(self) -> int:

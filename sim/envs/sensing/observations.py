@@ -18,6 +18,8 @@ specific force [m/s²] in the IMU frame |
 only in the task Race |
 | ``local_map`` | (L, N, N) | cells of the map around the vehicle: 0 unknown, −1 free, 1 occupied or outside the \
 world; layers from below, then cells from behind to ahead and from right to left, by the heading alone |
+| ``ranges`` | (R, C) | distances along the beams of a range sensor, with errors, rows from above, columns from the \
+left [m] |
 | ``last_action`` | (4,) | action of the last step; zeros after a reset |
 | ``parameters`` | (14,) | drawn values of the randomization: mass, inertia (3), rotor time constant, thrust and drag \
 as factors, wind (3) [m/s], gusts, latency [s], and errors of the IMU as a factor, light |
@@ -27,10 +29,11 @@ as factors, wind (3) [m/s], gusts, latency [s], and errors of the IMU as a facto
 | ``rgb`` | (H, W, 3) uint8 | colour image of the observed camera |
 | ``depth`` | (H, W, 1) float32 | depth along the optical axis of the observed camera [m] |
 
-All but images are float32. They are true values, except for ``imu``; with an estimator, the policy sees estimated ones,
-except for ``rotors``, ``battery``, ``parameters`` and ``wind`` (`dronevio.sim.envs.sensing.estimation`). The vehicle
-frame is x forward, y left, z up. Values are clipped to the bounds of their spaces. Images are those of
-`dronevio.sim.envs.sensing.camera_observation`, maps those of `dronevio.sim.envs.sensing.ray_maps`.
+All but images are float32. They are true values, except for ``imu`` and ``ranges``, which have errors; with an
+estimator, the policy sees estimated ones, except for ``rotors``, ``battery``, ``ranges``, ``parameters`` and ``wind``
+(`dronevio.sim.envs.sensing.estimation`). The vehicle frame is x forward, y left, z up. Values are clipped to the bounds
+of their spaces. Images are those of `dronevio.sim.envs.sensing.camera_observation`, maps those of
+`dronevio.sim.envs.sensing.ray_maps`, ranges those of `dronevio.sim.envs.sensing.range_beams`.
 """
 
 from collections.abc import Callable
@@ -46,6 +49,7 @@ from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.sensing.camera_observation import ImageKind
+from dronevio.sim.envs.sensing.range_beams import DEFAULT_BEAMS, BeamSettings
 from dronevio.sim.envs.tasks.task import Objective
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import VehicleStates
@@ -89,6 +93,8 @@ class ObservedState:
     """Randomized parameters of the episodes."""
     map_around: Callable[[VehicleStates], Array] | None = None
     """Function that returns the parts (n, L, N, N) of the maps around vehicles; None without maps."""
+    ranges_m: Array | None = None
+    """(n, R, C) Newest measurements of the range sensors [m]; None without one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,10 +117,17 @@ class Limits:
     """Whether the goals are gates."""
     map_shape: tuple[int, ...] = ()
     """Shape of the observed part of a map; empty without one."""
+    beams: BeamSettings = DEFAULT_BEAMS
+    """Settings of the range sensor."""
 
 
 def limits_of(
-    area: FlightArea, objective: Objective, quadrotor: Quadrotor, samples: int, map_shape: tuple[int, ...] = ()
+    area: FlightArea,
+    objective: Objective,
+    quadrotor: Quadrotor,
+    samples: int,
+    map_shape: tuple[int, ...] = (),
+    beams: BeamSettings = DEFAULT_BEAMS,
 ) -> Limits:
     """Return the sizes and bounds of observations.
 
@@ -124,6 +137,7 @@ def limits_of(
         quadrotor: The type of the vehicles.
         samples: Number of IMU samples per action.
         map_shape: Shape of the observed part of a map; empty without one.
+        beams: Settings of the range sensor.
     """
     low, high = area.space.low, area.space.high
     return Limits(
@@ -135,6 +149,7 @@ def limits_of(
         goals=objective.position_m.shape[1],
         has_gates=bool(objective.size_m.any()),
         map_shape=map_shape,
+        beams=beams,
     )
 
 
@@ -306,6 +321,14 @@ def _local_map(limits: Limits) -> Observation:
     return Observation(_symmetric(limits.map_shape, 1.0), values)
 
 
+def _ranges(limits: Limits) -> Observation:
+    def values(s: ObservedState) -> Array:
+        assert s.ranges_m is not None  # environments have range sensors where one is observed
+        return s.ranges_m
+
+    return Observation(_box(limits.beams.shape, 0.0, limits.beams.reach_m), values)
+
+
 def _last_action(limits: Limits) -> Observation:
     return Observation(_symmetric((4,), 1.0), lambda s: s.last_action)
 
@@ -345,6 +368,7 @@ NAMES: dict[str, Callable[[Limits], Observation]] = {
     "goals": _goals,
     "gates": _gates,
     "local_map": _local_map,
+    "ranges": _ranges,
     "last_action": _last_action,
     "parameters": _parameters,
     "wind": _wind,
