@@ -140,12 +140,12 @@ class DroneCore:
             settings.mapping.shape,
             settings.beams,
         )
-        own = settings.own_observations
+        own, images = settings.own_observations, {image.text for image in settings.images}
         self.arrangement = Arrangement(
             {
                 name: own[name].observation() if name in own else observation_named(name, limits)
                 for name in settings.observed
-                if name not in settings.images
+                if name not in images
             },
             {} if self._renderer is None else self._renderer.spaces,
             settings.policy_names,

@@ -12,9 +12,16 @@ from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.sim.envs.episodes.randomization import NOTHING_RANDOM, Randomization, RandomizedParameters
-from dronevio.sim.envs.sensing.camera_observation import ImageKind, ImageSettings, RenderedObservation
+from dronevio.sim.envs.sensing.camera_observation import (
+    CameraObservation,
+    CameraSet,
+    ImageKind,
+    ImageName,
+    ImageSettings,
+    RenderedObservation,
+)
 from dronevio.sim.envs.sensing.estimation import CameraSetup, Estimation, EstimatorFactory
-from dronevio.sim.envs.sensing.observations import IMAGES, OwnObservation
+from dronevio.sim.envs.sensing.observations import OwnObservation
 from dronevio.sim.envs.sensing.range_beams import DEFAULT_BEAMS, BeamSettings
 from dronevio.sim.envs.sensing.ray_maps import MapSettings
 from dronevio.sim.envs.tasks import AnyTask, Hover, task_named
@@ -97,10 +104,15 @@ class EnvironmentSettings(Settings):
                 raise ConfigError(f"{name} = {', '.join(names)}; expected each name once")
         images = self.images
         if self.flat and images:
-            raise ConfigError(f"flat observations with {images[0]!r}; expected no images, or flat=False")
+            raise ConfigError(f"flat observations with {images[0].text!r}; expected no images, or flat=False")
         cameras = len(self.rig.cameras)
         if images and not cameras:
-            raise ConfigError(f"observation {images[0]!r} of a rig without cameras; expected a camera")
+            raise ConfigError(f"observation {images[0].text!r} of a rig without cameras; expected a camera")
+        for image in images:
+            if ":" in image.text and image.camera >= cameras:
+                raise ConfigError(
+                    f"observation {image.text!r} of a rig with {cameras} cameras; expected an index from 0"
+                )
         if self.camera not in range(max(cameras, 1)):
             raise ConfigError(f"camera = {self.camera} of a rig with {cameras} cameras; expected an index from 0")
         if self.estimator is not None and not self.rig.cameras:
@@ -148,9 +160,10 @@ class EnvironmentSettings(Settings):
         return {one.name: one for one in (*self.observations, *self.privileged) if not isinstance(one, str)}
 
     @property
-    def images(self) -> tuple[ImageKind, ...]:
-        """Names of all observed images."""
-        return tuple(kind for kind in IMAGES if kind in self.observed)
+    def images(self) -> tuple[ImageName, ...]:
+        """All observed images."""
+        named = (ImageName.parsed(name, self.camera) for name in self.observed)
+        return tuple(image for image in named if image is not None)
 
     @property
     def has_map(self) -> bool:
@@ -187,10 +200,22 @@ class EnvironmentSettings(Settings):
         """Number of actions until the time limit of the task."""
         return round(self.task.episode_s * self.action_rate_hz)
 
-    def image_source(self, texture_seed: int) -> RenderedObservation:
+    def image_source(self, texture_seed: int) -> CameraObservation:
         """Return the renderer of the observed images, of the world with a seed of its textures."""
-        images = ImageSettings(self.images, *self.image_size)
-        return RenderedObservation(self.rig.cameras[self.camera], self.world, self.world_seed, images, texture_seed)
+        kinds: dict[int, dict[ImageKind, None]] = {}
+        for image in self.images:
+            kinds.setdefault(image.camera, {})[image.kind] = None
+        cameras = {
+            index: RenderedObservation(
+                self.rig.cameras[index],
+                self.world,
+                self.world_seed,
+                ImageSettings(tuple(of_camera), *self.image_size),
+                texture_seed,
+            )
+            for index, of_camera in kinds.items()
+        }
+        return CameraSet(cameras, self.images)
 
     def cameras_of_episode(self, randomized: RandomizedParameters, noise_seed: int) -> CameraSetup:
         """Return the true cameras of an episode, with drawn mounting errors, light and textures.

@@ -482,3 +482,34 @@ def test_environments_with_cameras_leak_nothing() -> None:
 def test_the_documented_target_is_the_target() -> None:
     assert Hover().height_m == 1.2
     assert "1.2 m above the landing pad" in (Hover.__doc__ or "")
+
+
+def test_stereo_images_are_those_of_both_cameras() -> None:
+    settings: dict[str, Any] = {"rig": "euroc-stereo", "world": QUICK_WORLD, "image_size": (32, 24)}
+    stereo = DroneEnv("hover", observations=("grey:0", "depth:1", "grey:1", "grey"), **settings)
+    seen, _ = stereo.reset(seed=0)
+    assert seen["grey:0"].shape == (24, 32, 1) and list(stereo.observation_shapes) == list(seen)
+    for camera in (0, 1):
+        single = DroneEnv("hover", observations=("grey", "depth"), camera=camera, **settings)
+        alone, _ = single.reset(seed=0)
+        np.testing.assert_array_equal(seen[f"grey:{camera}"], alone["grey"])
+        single.close()
+    np.testing.assert_array_equal(seen["depth:1"], alone["depth"])
+    np.testing.assert_array_equal(seen["grey"], seen["grey:0"])
+    assert not np.array_equal(seen["grey:0"], seen["grey:1"])
+    stereo.step(np.zeros(4, np.float32))
+    stereo.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("grey:2", "'grey:2' of a rig with 2 cameras; expected an index from 0"),
+        ("grey:", "unknown observation 'grey:'"),
+        ("grey:-1", "unknown observation 'grey:-1'"),
+        ("rate:1", "unknown observation 'rate:1'"),
+    ],
+)
+def test_images_of_unknown_cameras_are_refused(name: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        DroneEnv("hover", observations=(name,), rig="euroc-stereo")

@@ -1,5 +1,6 @@
 """Camera observations: the images that environments add to their observations."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Protocol
 
@@ -22,10 +23,41 @@ from dronevio.sim.rendering.shared import Lease
 Images = dict[str, npt.NDArray[Any]]
 ImageKind = Literal["grey", "rgb", "depth"]
 
+IMAGES: tuple[ImageKind, ...] = ("grey", "rgb", "depth")
+"""Kinds of images."""
 _CHANNELS: dict[ImageKind, int] = {"grey": 1, "rgb": 3, "depth": 1}
 _SHARP_FROM_M = 1.5  # distance from which reduced textures are as fine as the rendered pixels
 _REDUCTIONS = (4, 2, 1)
 _SUPERSAMPLING = 1.5  # rendered pixels per image pixel along each axis; published environments depend on it
+
+
+@dataclass(frozen=True)
+class ImageName:
+    """Name of an observed image: its kind, as in ``grey``, or kind and camera, as in ``grey:1``."""
+
+    text: str
+    """The name."""
+    kind: ImageKind
+    """Kind of the image."""
+    camera: int
+    """Index of the camera in the rig."""
+
+    @classmethod
+    def parsed(cls, text: str, camera: int) -> "ImageName | None":
+        """Return the image of a name; None if it is not that of an image.
+
+        Args:
+            text: The name.
+            camera: Index of the camera of names without one.
+        """
+        kind, colon, index = text.partition(":")
+        if kind not in IMAGES or (colon and not (index.isascii() and index.isdecimal())):
+            return None
+        return cls(text, kind, int(index) if colon else camera)
+
+    def __str__(self) -> str:
+        """Return the name."""
+        return self.text
 
 
 class CameraObservation(Protocol):
@@ -181,6 +213,33 @@ class RenderedObservation:
             camera = OffscreenCamera(lease.value.model, self._model, _SUPERSAMPLING, lease.value.context)
             self._renderer = _Renderer(lease, camera)
         return self._renderer
+
+
+class CameraSet:
+    """Images of several cameras of a rig; implements `CameraObservation`."""
+
+    def __init__(self, cameras: Mapping[int, RenderedObservation], names: Sequence[ImageName]) -> None:
+        """Define the cameras.
+
+        Args:
+            cameras: Images of each camera by its index in the rig.
+            names: The images in order.
+        """
+        self._cameras, self._names = cameras, tuple(names)
+
+    def spaces(self) -> dict[str, spaces.Box]:
+        """Return the spaces of the images of one environment by name."""
+        return {str(name): self._cameras[name.camera].spaces()[name.kind] for name in self._names}
+
+    def observe(self, T_world_imu: Array, t_ns: Times | None = None) -> Images:
+        """Return the images of k environments by name; see `RenderedObservation.observe`."""
+        images = {index: camera.observe(T_world_imu, t_ns) for index, camera in self._cameras.items()}
+        return {str(name): images[name.camera][name.kind] for name in self._names}
+
+    def close(self) -> None:
+        """Release the renderers."""
+        for camera in self._cameras.values():
+            camera.close()
 
 
 def _space(kind: ImageKind, settings: ImageSettings) -> spaces.Box:

@@ -29,6 +29,9 @@ as factors, wind (3) [m/s], gusts, latency [s], and errors of the IMU as a facto
 | ``rgb`` | (H, W, 3) uint8 | colour image of the observed camera |
 | ``depth`` | (H, W, 1) float32 | depth along the optical axis of the observed camera [m] |
 
+The observed camera is that of the argument ``camera``. A name such as ``grey:1`` is the image of the camera 1 of the
+rig: ``("grey:0", "grey:1")`` are stereo images.
+
 All but images are float32. They are true values, except for ``imu`` and ``ranges``, which have errors; with an
 estimator, the policy sees estimated ones, except for ``rotors``, ``battery``, ``ranges``, ``parameters`` and ``wind``
 (`dronevio.sim.envs.sensing.estimation`). The vehicle frame is x forward, y left, z up. Values are clipped to the bounds
@@ -48,7 +51,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.sim.envs.episodes.randomization import RandomizedParameters
-from dronevio.sim.envs.sensing.camera_observation import ImageKind
+from dronevio.sim.envs.sensing.camera_observation import IMAGES
 from dronevio.sim.envs.sensing.range_beams import DEFAULT_BEAMS, BeamSettings
 from dronevio.sim.envs.tasks.task import Objective
 from dronevio.sim.paths.space import FlightArea
@@ -56,8 +59,6 @@ from dronevio.sim.physics.vehicle_states import VehicleStates
 
 Array32 = npt.NDArray[np.float32]
 
-IMAGES: tuple[ImageKind, ...] = ("grey", "rgb", "depth")
-"""Names of the observations that are images."""
 GYRO_RANGE_RAD_S = float(np.radians(1000.0))
 """Bound of observed angular velocities [rad/s], the measurement range of the ADIS16448."""
 ACCEL_RANGE_M_S2 = 18.0 * 9.81
