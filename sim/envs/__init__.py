@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from dronevio.sim.envs.policies.goal_flight import fly_to_goal
     from dronevio.sim.envs.policies.mission import PolicyMission, policy_mission, policy_outcome
     from dronevio.sim.envs.policies.pilot import PolicyPilot
+    from dronevio.sim.envs.sensing.depth_errors import STEREO_DEPTH, DepthErrors
     from dronevio.sim.envs.sensing.estimation import Estimation
     from dronevio.sim.envs.sensing.observations import ObservedState, OwnObservation
     from dronevio.sim.envs.sensing.range_beams import BeamSettings
@@ -40,10 +41,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MODERATE",
+    "STEREO_DEPTH",
     "ActionLimits",
     "BaseTask",
     "BeamSettings",
     "Constant",
+    "DepthErrors",
     "DroneEnv",
     "DroneVectorEnv",
     "EnvironmentSettings",
@@ -86,6 +89,7 @@ __getattr__, __dir__ = attach(
         "dronevio.models.actions": ("ActionLimits",),
         "dronevio.sim.envs.policies.conversion": ("policy_from_sb3", "policy_from_torch", "provenance_of"),
         "dronevio.sim.envs.episodes.distributions": ("Constant", "LogUniform", "Normal", "Uniform"),
+        "dronevio.sim.envs.sensing.depth_errors": ("STEREO_DEPTH", "DepthErrors"),
         "dronevio.sim.envs.sensing.estimation": ("Estimation",),
         "dronevio.sim.envs.policies.goal_flight": ("fly_to_goal",),
         "dronevio.sim.envs.policies.mission": ("PolicyMission", "policy_mission", "policy_outcome"),

@@ -110,7 +110,13 @@ class DroneCore:
         self._mode = action_mode(settings.action, settings.vehicle, settings.action_limits, interval_s)
         self._imu = ImuWindow(self.plant, settings.rig, settings.vehicle, settings.samples)
         self._renderer = (
-            ImageRenderer(settings.steps_per_image, settings.image_source, settings.world_seed)
+            ImageRenderer(
+                settings.steps_per_image,
+                settings.image_source,
+                settings.world_seed,
+                settings.depth_errors,
+                settings.depth_focal_px,
+            )
             if settings.images
             else None
         )
@@ -178,8 +184,9 @@ class DroneCore:
         self._rng = rng
         self.plant.reseed(rng)
         self._imu.reseed(rng)
-        if self._beams is not None:
-            self._beams.reseed(rng)
+        for sensor in (self._beams, self._renderer):
+            if sensor is not None:
+                sensor.reseed(rng)
 
     def reset(self, mask: Mask, options: Mapping[str, Any]) -> dict[str, Any]:
         """Start new episodes of the environments in a mask (n,).
@@ -300,6 +307,7 @@ class DroneCore:
             "imu": self._imu.save(),
             "maps": None if self._maps is None else self._maps.save(),
             "beams": None if self._beams is None else self._beams.save(),
+            "depth_errors": None if self._renderer is None else self._renderer.save(),
             "rng": self._rng.bit_generator.state,
         }
 
@@ -317,6 +325,8 @@ class DroneCore:
             self._maps.restore(saved["maps"])
         if self._beams is not None:
             self._beams.restore(saved["beams"])
+        if self._renderer is not None:
+            self._renderer.restore(saved["depth_errors"])
         self._rng.bit_generator.state = saved["rng"]
 
     def close(self) -> None:

@@ -20,6 +20,7 @@ from dronevio.sim.envs.sensing.camera_observation import (
     ImageSettings,
     RenderedObservation,
 )
+from dronevio.sim.envs.sensing.depth_errors import EXACT, DepthErrors
 from dronevio.sim.envs.sensing.estimation import CameraSetup, Estimation, EstimatorFactory
 from dronevio.sim.envs.sensing.observations import OwnObservation
 from dronevio.sim.envs.sensing.range_beams import DEFAULT_BEAMS, BeamSettings
@@ -65,6 +66,8 @@ class EnvironmentSettings(Settings):
     """Index of the camera of the rig whose images are observed."""
     image_size: Annotated[tuple[int, int], Range(1, 4096)] = (64, 64)
     """Width and height of images [px]: the largest centred part of the camera's image with their ratio of sides."""
+    depth_errors: DepthErrors = EXACT
+    """Errors of the observation ``depth``, such as `STEREO_DEPTH`; none by default."""
     physics_rate_hz: Annotated[float, Range(1.0, 20_000.0)] = 1000.0
     """Rate of the physics, 2, 3 or more times that of the IMU [Hz]."""
     imu_rate_hz: Annotated[float, Range(1.0, 10_000.0)] = 0.0
@@ -164,6 +167,12 @@ class EnvironmentSettings(Settings):
         """All observed images."""
         named = (ImageName.parsed(name, self.camera) for name in self.observed)
         return tuple(image for image in named if image is not None)
+
+    @property
+    def depth_focal_px(self) -> dict[str, float]:
+        """Focal lengths of the observed depth images by name [px]."""
+        models = {each.text: self.rig.cameras[each.camera].model for each in self.images if each.kind == "depth"}
+        return {name: float(model.fitted(*self.image_size).central_focal_px[0]) for name, model in models.items()}
 
     @property
     def has_map(self) -> bool:

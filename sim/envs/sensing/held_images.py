@@ -1,6 +1,6 @@
 """Images of many environments at a rate of their own, with mounting errors of the cameras and randomized appearance."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +12,7 @@ from dronevio.models.imu import Times
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.sensing.camera_observation import CameraObservation, Images
+from dronevio.sim.envs.sensing.depth_errors import EXACT, DepthErrors
 
 Rows = npt.NDArray[np.intp]
 
@@ -37,18 +38,41 @@ class HeldImages:
 class ImageRenderer:
     """Renders the images of environments: one at the start of an episode, and one every ``period`` steps."""
 
-    def __init__(self, period: int, make_source: Callable[[int], CameraObservation], texture_seed: int) -> None:
+    def __init__(
+        self,
+        period: int,
+        make_source: Callable[[int], CameraObservation],
+        texture_seed: int,
+        depth_errors: DepthErrors = EXACT,
+        focal_px: Mapping[str, float] | None = None,
+    ) -> None:
         """Define cameras and rate; nothing is rendered yet.
 
         Args:
             period: Number of steps from one image to the next.
             make_source: Function that returns the renderer of the world with a seed of its textures.
             texture_seed: A seed of textures.
+            depth_errors: Errors of depth images.
+            focal_px: Focal lengths of the depth images by name [px].
         """
         self._period, self._make_source = period, make_source
+        self._errors, self._focal_px, self._rng = depth_errors, focal_px or {}, np.random.default_rng(0)
         self._sources = {texture_seed: make_source(texture_seed)}
         self.spaces = self._sources[texture_seed].spaces()
         """Spaces of the images of one environment by name."""
+
+    def reseed(self, rng: np.random.Generator) -> None:
+        """Draw the errors of depths from a stream of another generator from now on."""
+        if self._errors != EXACT:
+            self._rng = rng.spawn(1)[0]
+
+    def save(self) -> dict[str, Any]:
+        """Return the state of the random numbers."""
+        return dict(self._rng.bit_generator.state)
+
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Return to a state of `save`."""
+        self._rng.bit_generator.state = saved
 
     def start(self, count: int) -> HeldImages:
         """Return black images of ``count`` environments, all of them due."""
@@ -98,6 +122,9 @@ class ImageRenderer:
         """Return the images of some environments."""
         error = pose_matrix(exp_so3(randomized.camera_rotation_rad[rows]), randomized.camera_translation_m[rows])
         images = source.observe(T_world_imu[rows] @ error, t_ns[rows])
+        for name, focal_px in self._focal_px.items():
+            farthest_m = float(self.spaces[name].high.flat[0])
+            images[name] = self._errors.applied(images[name], focal_px, farthest_m, self._rng)
         return {name: _lit(image, randomized.light[rows]) for name, image in images.items()}
 
 
