@@ -20,6 +20,7 @@ from dronevio.estimator.sfm.earlier import earlier_cameras, earlier_images, earl
 from dronevio.estimator.sfm.features import NO_FEATURES, Features, detect_features
 from dronevio.estimator.sfm.focal import guess_fisheyes, guess_pinholes
 from dronevio.estimator.sfm.intrinsics import FOCAL_SIGMAS, IntrinsicsPrior
+from dronevio.estimator.sfm.links import wrong_links
 from dronevio.estimator.sfm.mapper import finish, hold_undetermined, map_scene, self_calibrations
 from dronevio.estimator.sfm.matching import match_features
 from dronevio.estimator.sfm.model import KnownPoses, Scene, SfmState, initial_state
@@ -30,12 +31,15 @@ from dronevio.estimator.sfm.tracks import MatchedPair, connect_tracks
 from dronevio.estimator.sfm.two_view import ImageView, TwoView, verify, view_of
 from dronevio.estimator.sfm.workspace import Workspace
 from dronevio.estimator.threads import map_with_progress, single_threaded
+from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.progress import Progress, Stages, silent_stages
 from dronevio.models.reconstruction import Reconstruction, SelfCalibration
 
 Indices = npt.NDArray[np.int64]
+
+_REPAIRS = 3  # largest number of times at which wrong links are removed
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +133,7 @@ def reconstruct(
         scene = replace(scene, fixed_images=poses.is_known)
         start = initial_state(scene, images.cameras, poses.Ts_world_cam)
     # Incremental mapping, one state per connected part of the scene
-    states = map_scene(scene, images.cameras, pairs, config.mapper, stages("mapping"), start, is_final=False)
+    scene, states, pairs = _mapped(scene, images, features, pairs, config, stages("mapping"), start)
     is_measured = poses is not None or images.geotags is not None or images.control_points is not None
     completed: list[tuple[Scene, SfmState]] = []
     for state in states:
@@ -260,14 +264,36 @@ def _with_focal_lengths(
     return images, [pair for pair in verified if pair is not None]
 
 
-def _views(images: ImageSet, features: list[Features]) -> list[ImageView]:
+def _mapped(
+    scene: Scene,
+    images: ImageSet,
+    features: list[Features],
+    pairs: list[TwoView],
+    config: SfmConfig,
+    progress: Progress,
+    start: SfmState | None,
+) -> tuple[Scene, list[SfmState], list[TwoView]]:
+    """Return the components of a scene, mapped once more without the links of the first one that have proved wrong."""
+    states = map_scene(scene, images.cameras, pairs, config.mapper, progress, start, is_final=False)
+    for _ in range(_REPAIRS if start is None and states else 0):
+        largest = states[0]
+        wrong = set(wrong_links(pairs, _views(images, features, largest.cameras), largest.Ts_world_cam).tolist())
+        if not wrong:
+            break
+        pairs = [pair for k, pair in enumerate(pairs) if k not in wrong]
+        scene = _scene(images, features, pairs)
+        states = map_scene(scene, images.cameras, pairs, config.mapper, progress, is_final=False)
+    return scene, states, pairs
+
+
+def _views(images: ImageSet, features: list[Features], cameras: Sequence[CameraModel] | None = None) -> list[ImageView]:
     """Return what verification needs of each image; fisheyes count as calibrated, by their first focal length."""
+    cameras = cameras or images.cameras
     is_known = [
-        bool(known) or camera.lens == "equidistant"
-        for known, camera in zip(images.is_calibrated, images.cameras, strict=True)
+        bool(known) or camera.lens == "equidistant" for known, camera in zip(images.is_calibrated, cameras, strict=True)
     ]
     of_image = zip(features, images.image_camera.tolist(), strict=True)
-    return [view_of(f.pixels, images.cameras[k], is_known[k]) for f, k in of_image]
+    return [view_of(f.pixels, cameras[k], is_known[k]) for f, k in of_image]
 
 
 def _scene(images: ImageSet, features: list[Features], pairs: Sequence[MatchedPair]) -> Scene:
