@@ -84,9 +84,14 @@ class Evaluations(BaseCallback):
         if self.num_timesteps >= (self.samples[-1] if self.samples else 0) + self._command.every:
             self.evaluate()
 
-    def _on_step(self) -> bool:
+    @property
+    def is_enough(self) -> bool:
+        """Whether enough evaluations in a row have been good."""
         enough = self._command.enough
-        return enough is None or len(self.success) < enough or min(self.success[-enough:]) < GOOD
+        return enough is not None and len(self.success) >= enough and min(self.success[-enough:]) >= GOOD
+
+    def _on_step(self) -> bool:
+        return not self.is_enough
 
 
 def train(command: DefaultCommand, seed: int) -> dict[str, Any]:
@@ -99,7 +104,8 @@ def train(command: DefaultCommand, seed: int) -> dict[str, Any]:
         made = StableBaselinesVecEnv(envs)
     curve = Evaluations(envs, command)
     PPO("MlpPolicy", made, device="cpu", seed=seed).learn(command.samples, callback=curve)
-    curve.evaluate()
+    if not curve.is_enough:
+        curve.evaluate()
     return {
         "environment": command.environment,
         "envs": command.envs,
