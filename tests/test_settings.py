@@ -4,6 +4,7 @@ import importlib
 import math
 import re
 from dataclasses import MISSING, fields, replace
+from inspect import isabstract
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,7 @@ EXAMPLES: dict[type, Any] = {
 
 
 def settings_classes() -> list[type]:
-    """Return all settings classes, sorted by name."""
+    """Return all settings classes that can be instantiated, sorted by name."""
     for folder in ("models", "estimator", "sim", "eval", "autonomy", "cli", "book"):
         for file in sorted((PACKAGE / folder).rglob("*.py")):
             if re.search(r"\(Settings\)|\(Navigate\)", file.read_text(encoding="utf-8")):
@@ -53,7 +54,8 @@ def settings_classes() -> list[type]:
             if kind.__module__.startswith("dronevio.") and kind not in found:
                 found.add(kind)
                 queue.append(kind)
-    return sorted(found, key=lambda kind: (kind.__module__, kind.__name__))
+    concrete = [kind for kind in found if not isabstract(kind)]
+    return sorted(concrete, key=lambda kind: (kind.__module__, kind.__name__))
 
 
 CLASSES = settings_classes()
