@@ -44,8 +44,8 @@ def wrong_links(pairs: Sequence[TwoView], views: Sequence[ImageView], Ts_world_c
     tree = _spanning_tree(ends, counts, len(views))
     contradicted = tree[~agrees[tree] & (counts[tree] >= LEAST_MATCHES)]
     for link in contradicted[np.argsort(-counts[contradicted], kind="stable")]:
-        rest = ends[tree[tree != link]]
-        side = _components(rest, len(views)) == _components(rest, len(views))[ends[link, 0]]
+        part = _components(ends[tree[tree != link]], len(views))
+        side = part == part[ends[link, 0]]
         joining = agrees & (side[ends[:, 0]] != side[ends[:, 1]])
         if joining.any() and counts[link] >= STRONGER * counts[joining].max():
             return np.asarray(chosen[joining])
