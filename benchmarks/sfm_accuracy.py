@@ -22,6 +22,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -189,15 +190,6 @@ def colmap(
     reader = pycolmap.ImageReaderOptions(camera_model="OPENCV", camera_params=",".join(map(str, values)))
     extraction = pycolmap.FeatureExtractionOptions(num_threads=2, use_gpu=False)
     matching = pycolmap.FeatureMatchingOptions(num_threads=2, use_gpu=False)
-    mapping = pycolmap.IncrementalPipelineOptions(
-        num_threads=2,
-        ba_refine_focal_length=False,
-        ba_refine_principal_point=False,
-        ba_refine_extra_params=False,
-    )
-    global_mapping = pycolmap.GlobalPipelineOptions(num_threads=2)
-    global_mapping.mapper.bundle_adjustment.refine_focal_length = False
-    global_mapping.mapper.bundle_adjustment.refine_extra_params = False
     database = folder / "database.db"
     pycolmap.set_random_seed(0)
     clock, costs = Stopwatch(), dict[str, tuple[float, float]]()
@@ -220,11 +212,7 @@ def colmap(
     for seed in range(seeds):
         pycolmap.set_random_seed(seed)
         clock.lap()
-        results = folder / f"models-{seed}"
-        if is_global:
-            models = pycolmap.global_mapping(database, folder / "images", results, options=global_mapping)
-        else:
-            models = pycolmap.incremental_mapping(database, folder / "images", results, options=mapping)
+        models = colmap_models(folder, folder / f"models-{seed}", is_global)
         costs["mapping"] = clock.lap()
         times_s, cpu_s = {name: cost[0] for name, cost in costs.items()}, sum(cost[1] for cost in costs.values())
         if not models:
@@ -236,6 +224,24 @@ def colmap(
         positions = np.stack([image.projection_center() for image in posed])
         outcomes.append(Outcome(len(rows), align(true[rows], positions).rmse_mm, times_s, cpu_s))
     return outcomes
+
+
+def colmap_models(folder: Path, out: Path, is_global: bool) -> dict[int, Any]:
+    """Return the models of COLMAP's mapper from the database and the images in a folder."""
+    import pycolmap
+
+    if is_global:
+        options = pycolmap.GlobalPipelineOptions(num_threads=2)
+        options.mapper.bundle_adjustment.refine_focal_length = False
+        options.mapper.bundle_adjustment.refine_extra_params = False
+        return dict(pycolmap.global_mapping(folder / "database.db", folder / "images", out, options=options))
+    mapping = pycolmap.IncrementalPipelineOptions(
+        num_threads=2,
+        ba_refine_focal_length=False,
+        ba_refine_principal_point=False,
+        ba_refine_extra_params=False,
+    )
+    return dict(pycolmap.incremental_mapping(folder / "database.db", folder / "images", out, options=mapping))
 
 
 def row(name: str, program: str, outcome: Outcome, images: int) -> dict[str, str]:
