@@ -138,26 +138,7 @@ class DroneCore:
             loops=self._mode.start(states),
             images=None if self._renderer is None else self._renderer.start(count),
         )
-        limits = limits_of(
-            self.area,
-            self._objective(),
-            settings.vehicle,
-            settings.samples,
-            settings.mapping.shape,
-            settings.beams,
-        )
-        own, images = settings.own_observations, {image.text for image in settings.images}
-        self.arrangement = Arrangement(
-            {
-                name: own[name].observation() if name in own else observation_named(name, limits)
-                for name in settings.observed
-                if name not in images
-            },
-            {} if self._renderer is None else self._renderer.spaces,
-            settings.policy_names,
-            settings.critic_names,
-            settings.flat,
-        )
+        self.arrangement = self._arranged()
 
     @property
     def count(self) -> int:
@@ -432,6 +413,30 @@ class DroneCore:
         mapped = {} if self._maps is None else {"known_m3": self._maps.known_m3.copy()}
         estimated = {} if self._loop is None else self._loop.info()
         return {"distance_m": distance_m(self.states, goal), "t_ns": self._t_ns, **mapped, **estimated}
+
+    def _arranged(self) -> Arrangement:
+        """Return the arrangement of the observations."""
+        settings = self.settings
+        limits = limits_of(
+            self.area,
+            self._objective(),
+            settings.vehicle,
+            settings.samples,
+            settings.mapping.shape,
+            settings.beams,
+        )
+        own, images = settings.own_observations, {image.text for image in settings.images}
+        return Arrangement(
+            {
+                name: own[name].observation() if name in own else observation_named(name, limits)
+                for name in settings.observed
+                if name not in images
+            },
+            {} if self._renderer is None else self._renderer.spaces,
+            settings.policy_names,
+            settings.critic_names,
+            settings.flat,
+        )
 
     def _unknown_maps(self) -> RayMaps:
         """Return unknown maps of the world."""
