@@ -1,8 +1,8 @@
-"""True motion of many vehicles and noise-free samples of their IMUs, at one time: `Motion` for many vehicles.
+"""True motion of many vehicles and noise-free samples of their IMUs, at one time.
 
 Arrays have one column a vehicle, so that numpy computes each component for all vehicles at once. Motion (13, n)
 holds positions [m], orientations quat_wxyz, velocities in the world [m/s] and angular velocities in the vehicle frame
-[rad/s] of MuJoCo's free joints.
+[rad/s], all of one time, which poses and twists in MuJoCo are not.
 """
 
 from collections.abc import Iterable
@@ -12,10 +12,17 @@ import numpy as np
 
 from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2
+from dronevio.models.rotation import quat_wxyz_from_matrix
+from dronevio.sim.physics.vehicle_states import VehicleStates
 
 POSITION, QUATERNION, VELOCITY, RATE = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
 """Rows of a block of motion."""
-_LEAST = 1e-300  # avoids 0 / 0 without rotation
+
+
+def motion_of(states: VehicleStates) -> Array:
+    """Return the motion (13, n) of vehicles."""
+    quaternion = quat_wxyz_from_matrix(states.R_world_vehicle)
+    return np.concatenate([states.position_m.T, quaternion.T, states.velocity_m_s.T, states.rate_rad_s.T])
 
 
 def rotations(quaternion: Array) -> Array:
@@ -33,26 +40,6 @@ def rotations(quaternion: Array) -> Array:
     return R
 
 
-def rotations_at_velocities(motion: Array, step_s: float) -> Array:
-    """Return rotations (3, 3, n) at the times of the velocities, half a step earlier than the poses (see `Motion`).
-
-    Args:
-        motion: (13, n) Motion of the physics.
-        step_s: Time step of the physics [s].
-    """
-    p, q, r = _components((-0.25 * step_s) * motion[RATE])  # half the rotation vector
-    angle = np.sqrt(p * p + q * q + r * r)
-    scale = np.sin(angle) / np.maximum(angle, _LEAST)
-    w, x, y, z = _components(motion[QUATERNION])
-    d, a, b, c = np.cos(angle), scale * p, scale * q, scale * r
-    turned = np.empty((4, motion.shape[1]))
-    turned[0] = w * d - x * a - y * b - z * c
-    turned[1] = w * a + x * d + y * c - z * b
-    turned[2] = w * b - x * c + y * d + z * a
-    turned[3] = w * c + x * b - y * a + z * d
-    return rotations(turned)
-
-
 def rotated(R: Array, vectors: Array) -> Array:
     """Return R v (3, n) of rotations (3, 3, n) and vectors (3, n)."""
     return np.asarray((R * vectors).sum(axis=1))
@@ -63,19 +50,18 @@ def rotated_back(R: Array, vectors: Array) -> Array:
     return np.asarray((R * vectors[:, None]).sum(axis=0))
 
 
-def velocities_of(lever: Array, motion: Array, step_s: float) -> Array:
+def velocities_of(lever: Array, motion: Array) -> Array:
     """Return velocities (3, n) in the world of a point fixed to each vehicle [m/s].
 
     Args:
         lever: (3,) Position of the point in the vehicle frame [m].
-        motion: (13, n) Motion of the physics.
-        step_s: Time step of the physics [s].
+        motion: (13, n) Motion.
     """
     x, y, z = _components(motion[RATE])
     a, b, c = lever.tolist()
     relative = np.empty((3, motion.shape[1]))
     relative[0], relative[1], relative[2] = y * c - z * b, z * a - x * c, x * b - y * a
-    return motion[VELOCITY] + rotated(rotations_at_velocities(motion, step_s), relative)
+    return motion[VELOCITY] + rotated(rotations(motion[QUATERNION]), relative)
 
 
 def specific_forces(R: Array, before: Array, after: Array, interval_s: Array | float) -> Array:

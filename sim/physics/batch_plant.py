@@ -16,15 +16,16 @@ from dronevio.sim.physics.batch_motion import (
     QUATERNION,
     RATE,
     VELOCITY,
+    motion_of,
     rotated_back,
     rotations,
-    rotations_at_velocities,
     specific_forces,
     velocities_of,
 )
-from dronevio.sim.physics.batch_simulation import FASTEST, BatchSimulation, Interval
+from dronevio.sim.physics.batch_simulation import BatchSimulation, Interval
 from dronevio.sim.physics.batch_state import PlantState, PointSamples, SavedPlant
 from dronevio.sim.physics.collisions import Moving
+from dronevio.sim.physics.free_flight import FASTEST
 from dronevio.sim.physics.motion import extrapolated_back
 from dronevio.sim.physics.mover_contacts import BatchMoverContacts
 from dronevio.sim.physics.rotors import Airflow, Rotors
@@ -66,7 +67,7 @@ class BatchPlant:
             count: Number of vehicles.
             rig: Mounting and rate of the IMU.
             quadrotor: The vehicle type; the research quadrotor of 1.5 kg by default.
-            step_s: Time step of the physics [s]; at most half the IMU interval, of which it is a fraction.
+            step_s: Time step of contacts [s]; at most half the IMU interval, of which it is a fraction.
             surroundings: Specification of a world, whose geoms of group 3 are solid; only a floor by default.
             movers: All moving objects of the world; a vehicle that meets one has collided, but is not pushed.
             ground_m: Height of the ground of the ground effect [m].
@@ -84,15 +85,16 @@ class BatchPlant:
         self.quadrotor = quadrotor or RESEARCH
         self.interval_ns = imu_interval_ns(rig)
         substeps = _substeps(self.interval_s, step_s)
-        self._step_s = self.interval_s / substeps
+        step_s = self.interval_s / substeps
         self._ground_m = ground_m
-        spec = physics_spec(self.quadrotor, rig, self._step_s, surroundings)
-        self._simulation = BatchSimulation(spec, count, substeps, imu, nthread)
+        spec = physics_spec(self.quadrotor, rig, step_s, surroundings)
+        self._simulation = BatchSimulation(spec, count, substeps, nthread)
+        self._imu = imu
         self._movers: BatchMoverContacts | None = None
         if surroundings is not None and movers:
             meeting = meeting_spec(self.quadrotor, rig, surroundings)
             self._movers = BatchMoverContacts(meeting, movers, self.interval_s, count, nthread)
-        self.standing_height_m = float(standing_pose(self.quadrotor, rig, self._step_s)[2])
+        self.standing_height_m = float(standing_pose(self.quadrotor, rig, step_s)[2])
         """Height of the centre of mass above the floor when a drone of the type stands on its feet [m]."""
         self._air = BatchAir(Winds.of(CALM, count), rng or np.random.default_rng(0))
         parameters, nothing = VehicleParameters.of(self.quadrotor, count), np.zeros(count, dtype=bool)
@@ -104,6 +106,7 @@ class BatchPlant:
             touched=nothing,
             diverged=nothing,
             motion=np.zeros((13, count)),
+            ahead=np.zeros((13, count)),
             velocity_between=np.zeros((3, count)),
             samples=PointSamples(np.zeros((count, 3)), np.zeros((count, 3))),
         )
@@ -129,11 +132,9 @@ class BatchPlant:
     def states(self) -> VehicleStates:
         """True states of the vehicles."""
         motion, rotors = self.now.motion, self.now.rotors
-        position = motion[POSITION] - 0.5 * self._step_s * motion[VELOCITY]
-        R = rotations_at_velocities(motion, self._step_s)
         return VehicleStates(
-            np.ascontiguousarray(position.T),
-            np.ascontiguousarray(R.transpose(2, 0, 1)),
+            np.ascontiguousarray(motion[POSITION].T),
+            np.ascontiguousarray(rotations(motion[QUATERNION]).transpose(2, 0, 1)),
             np.ascontiguousarray(motion[VELOCITY].T),
             np.ascontiguousarray(motion[RATE].T),
             rotors.speed_rad_s.copy(),
@@ -157,13 +158,12 @@ class BatchPlant:
 
     def save(self) -> SavedPlant:
         """Return the state of vehicles, gusts and clocks, with arrays that no later step changes."""
-        return SavedPlant(self._simulation.save(), self._air.save(), self.now)
+        return SavedPlant(self._air.save(), self.now)
 
     def restore(self, saved: SavedPlant) -> None:
         """Return to a state of a plant of the same vehicle type, world and rates, with as many vehicles."""
         self.now = saved.vehicles
         self._rotors = Rotors(self.quadrotor, self.now.parameters)
-        self._simulation.restore(saved.physics, self.now.parameters)
         self._air.restore(saved.air)
 
     def reset(
@@ -190,22 +190,21 @@ class BatchPlant:
         states = states.rows(rows)
         states.check(FASTEST)
         own = (parameters or self.now.parameters).rows(rows)
-        if parameters is not None:
-            self._simulation.change_bodies(rows, own)
         self._air.renew(rows, self.winds if winds is None else with_rows(self.winds, rows, winds.rows(rows)))
-        self._simulation.place(rows, states)
         model, nothing = Rotors(self.quadrotor, own), np.zeros(rows.size, dtype=bool)
         rotors = model.steady_state(states.rotor_speed_rad_s, states.battery_charge)
-        motion = self._simulation.motion(rows)
+        motion = motion_of(states)
         wrench = model.wrench(rotors, self._airflow(motion, rows))
         elapsed = np.zeros(rows.size, dtype=np.int64)
-        flown = self._run(rows, motion, wrench, nothing, nothing, elapsed)
+        flown = self._run(rows, motion, wrench, own, nothing, nothing, elapsed)
         between, samples = np.zeros((3, rows.size)), self.now.samples.rows(rows)
-        if flown.middle is not None:
+        if self._imu:
             before = extrapolated_back(flown.start, flown.middle)  # to before t = 0
-            between = velocities_of(self.rig.T_vehicle_imu[:3, 3], before, self._step_s)
+            between = velocities_of(self.rig.T_vehicle_imu[:3, 3], before)
             between, samples = self._sample(flown.start, between, flown.middle)
-        placed = PlantState(own, rotors, elapsed, flown.touched, flown.diverged, flown.start, between, samples)
+        placed = PlantState(
+            own, rotors, elapsed, flown.touched, flown.diverged, flown.start, flown.end, between, samples
+        )
         self.now = self.now.with_vehicles(rows, placed)
         if parameters is not None:
             self._rotors = Rotors(self.quadrotor, self.now.parameters)
@@ -218,29 +217,43 @@ class BatchPlant:
             rows = np.asarray(finite.all(axis=1))
             diverged, commands = diverged | ~rows, np.where(rows[:, None], commands, 0.0)
         rotors = self._rotors.step(now.rotors, commands, self.interval_s)
-        motion = self._simulation.motion(_ALL)
-        wrench = self._rotors.wrench(rotors, self._airflow(motion, _ALL))
-        flown = self._run(_ALL, motion, wrench, now.touched, diverged, now.elapsed + 1)
+        wrench = self._rotors.wrench(rotors, self._airflow(now.ahead, _ALL))
+        flown = self._run(_ALL, now.ahead, wrench, now.parameters, now.touched, diverged, now.elapsed + 1)
         between, samples = now.velocity_between, now.samples
-        if flown.middle is not None:
+        if self._imu:
             between, samples = self._sample(flown.start, between, flown.middle)
         self.now = PlantState(
-            now.parameters, rotors, now.elapsed + 1, flown.touched, flown.diverged, flown.start, between, samples
+            now.parameters,
+            rotors,
+            now.elapsed + 1,
+            flown.touched,
+            flown.diverged,
+            flown.start,
+            flown.end,
+            between,
+            samples,
         )
         return samples
 
     def _run(
-        self, rows: Rows, motion: Array, wrench: Array, touched: Mask, diverged: Mask, number: npt.NDArray[np.int64]
+        self,
+        rows: Rows,
+        motion: Array,
+        wrench: Array,
+        vehicles: VehicleParameters,
+        touched: Mask,
+        diverged: Mask,
+        number: npt.NDArray[np.int64],
     ) -> Interval:
         """Run k simulations for an interval, which a number (k,) of others precedes, and find the contacts at its end.
 
         The other arguments are those of `BatchSimulation.run`.
         """
-        flown = self._simulation.run(rows, motion, wrench, touched, diverged)
+        flown = self._simulation.run(motion, wrench, vehicles, touched, diverged)
         if self._movers is None:
             return flown
-        indices, pose = np.arange(self.count)[rows], self._simulation.motion(rows)[:7].T
-        return replace(flown, touched=flown.touched | self._movers.detect(indices, number + 1, pose))
+        met = self._movers.detect(np.arange(self.count)[rows], number + 1, flown.end[:7].T)
+        return replace(flown, touched=flown.touched | met)
 
     def _airflow(self, motion: Array, rows: Rows) -> Airflow:
         """Return the airflow at k vehicles, and advance the gusts by the distance of an interval."""
@@ -258,9 +271,8 @@ class BatchPlant:
             middle: (13, k) Motion half an interval later.
         """
         T = self.rig.T_vehicle_imu
-        after = velocities_of(T[:3, 3], middle, self._step_s)
-        R = rotations_at_velocities(motion, self._step_s)
-        force = specific_forces(R, before, after, self.interval_s)  # in the vehicle frame
+        after = velocities_of(T[:3, 3], middle)
+        force = specific_forces(rotations(motion[QUATERNION]), before, after, self.interval_s)  # in the vehicle frame
         return after, PointSamples(motion[RATE].T @ T[:3, :3], force.T @ T[:3, :3])
 
 

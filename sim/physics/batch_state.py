@@ -36,7 +36,9 @@ class PlantState:
     diverged: Mask
     """(n,) Which simulations have diverged."""
     motion: Array
-    """(13, n) Motion of the physics."""
+    """(13, n) Motion at the clock."""
+    ahead: Array
+    """(13, n) Motion one interval later, which does not depend on the current commands."""
     velocity_between: Array
     """(3, n) Velocities of the IMUs half an interval after the clock [m/s]."""
     samples: PointSamples
@@ -50,8 +52,9 @@ class PlantState:
             elapsed=with_rows(self.elapsed, rows, part.elapsed),
             touched=with_rows(self.touched, rows, part.touched),
             diverged=with_rows(self.diverged, rows, part.diverged),
-            motion=np.ascontiguousarray(with_rows(self.motion.T, rows, part.motion.T).T),
-            velocity_between=np.ascontiguousarray(with_rows(self.velocity_between.T, rows, part.velocity_between.T).T),
+            motion=_with_columns(self.motion, rows, part.motion),
+            ahead=_with_columns(self.ahead, rows, part.ahead),
+            velocity_between=_with_columns(self.velocity_between, rows, part.velocity_between),
             samples=with_rows(self.samples, rows, part.samples),
         )
 
@@ -60,9 +63,14 @@ class PlantState:
 class SavedPlant:
     """Complete state of a `BatchPlant`."""
 
-    physics: Array
-    """(n, S) States of MuJoCo."""
     air: AirState
     """State of the air."""
     vehicles: PlantState
     """State of the vehicles."""
+
+
+def _with_columns(table: Array, columns: npt.NDArray[np.intp], part: Array) -> Array:
+    """Return a copy of an array (d, n) in which k columns (k,) are replaced."""
+    copy = table.copy()
+    copy[:, columns] = part
+    return copy
