@@ -18,11 +18,10 @@ from typing import Any
 import tyro
 
 from dronevio.cli.terminal import print_table
-from dronevio.sim.speed.batch_throughput import batch_speed
+from dronevio.sim.speed.batch_throughput import environment_speed
 
 _SCRIPT = Path(__file__).with_name("rival_speed.py")
 LEFT_OUT = {
-    "dronevio": "–",
     "pyflyt": "IMU, ground effect, battery",
     "rotorpy": "contacts, IMU, ground effect, battery",
     "crazyflow": "rotors, drag, contacts, IMU, ground effect, battery",
@@ -46,24 +45,9 @@ class GymSpeedCommand:
     """Number of runs of this simulator, of which the medians are printed."""
 
 
-def rows_of(name: str, measured: list[dict[str, Any]], own: float) -> list[tuple[str, ...]]:
-    """Return the rows of a simulator.
-
-    Args:
-        name: Name of the simulator.
-        measured: Its measurements, as `rival_speed.py` prints them.
-        own: Speed of this simulator with physics at 600 Hz.
-    """
-    return [
-        (
-            f"{name} {one['version']}",
-            one["settings"],
-            f"{one['speed']:.0f}",
-            f"{own / one['speed']:.2g}",
-            LEFT_OUT[name],
-        )
-        for one in measured
-    ]
+def rows_of(name: str, measured: list[dict[str, Any]]) -> list[tuple[str, ...]]:
+    """Return the rows of a simulator, given its measurements as `rival_speed.py` prints them."""
+    return [(f"{name} {one['version']}", one["settings"], f"{one['speed']:.0f}", LEFT_OUT[name]) for one in measured]
 
 
 def measurements(python: Path, name: str) -> list[dict[str, Any]]:
@@ -74,18 +58,18 @@ def measurements(python: Path, name: str) -> list[dict[str, Any]]:
 
 def measure(command: GymSpeedCommand) -> None:
     """Measure all simulators and print the table."""
-    rows: list[tuple[str, ...]] = []
-    speeds = {rate_hz: batch_speed(command.count, 25, command.runs, 1.0 / rate_hz) for rate_hz in (1000, 600)}
-    for rate_hz, speed in speeds.items():
-        settings = f"{command.count} vehicles, physics {rate_hz} Hz, IMU 200 Hz, actions 50 Hz"
-        rows.append(("dronevio", settings, f"{speed:.0f}", f"{speeds[600] / speed:.2g}", LEFT_OUT["dronevio"]))
+    rows = []
+    for rate_hz, imu in ((50.0, True), (50.0, False), (500.0, False)):
+        speed = environment_speed(command.count, round(0.5 * rate_hz), command.runs, rate_hz, imu)
+        settings = f"{command.count} vehicles, actions {rate_hz:g} Hz{', IMU 200 Hz' if imu else ''}"
+        rows.append(("dronevio", settings, f"{speed:.0f}", "–" if imu else "IMU"))
     rivals = {"pyflyt": command.pyflyt, "rotorpy": command.rotorpy, "crazyflow": command.crazyflow}
     for name, python in rivals.items():
         if python is not None:
-            rows += rows_of(name, measurements(python, name), speeds[600])
+            rows += rows_of(name, measurements(python, name))
     print_table(
         "Simulated seconds per second of processor time",
-        ("simulator", "settings", "speed", "dronevio at 600 Hz is faster by", "does not simulate"),
+        ("simulator", "settings", "speed", "does not simulate"),
         rows,
         left=("simulator", "settings", "does not simulate"),
     )

@@ -69,8 +69,7 @@ def page(environment_id: str) -> str:
         "time limit": f"{chosen.episode_steps} steps, {task.episode_s:g} s",
         "world": f"`{chosen.world}`",
         "action mode": f"`{chosen.action}`",
-        "rates": f"actions {chosen.action_rate_hz:g} Hz, IMU {chosen.imu_rate_hz:g} Hz, "
-        f"physics {chosen.physics_rate_hz:g} Hz",
+        "rates": f"actions {chosen.action_rate_hz:g} Hz, IMU {chosen.imu_rate_hz:g} Hz",
     }
     spaces_table = table(("", "shape", "type", "smallest", "largest"), space_rows(env))
     summary, _, sections = docstring_of(environment_id).partition("\n\n")

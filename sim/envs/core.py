@@ -99,7 +99,6 @@ class DroneCore:
             count,
             settings.rig,
             settings.vehicle,
-            step_s=1.0 / settings.physics_rate_hz,
             surroundings=collision_spec(settings.world, settings.world_seed) if task.obstacles else None,
             movers=illumination_and_movers(settings.world, settings.world_seed)[1] if task.obstacles else (),
             ground_m=float(self.area.pad[2]),

@@ -68,8 +68,6 @@ class EnvironmentSettings(Settings):
     """Width and height of images [px]: the largest centred part of the camera's image with their ratio of sides."""
     depth_errors: DepthErrors = EXACT
     """Errors of the observation ``depth``, such as `STEREO_DEPTH`; none by default."""
-    physics_rate_hz: Annotated[float, Range(1.0, 20_000.0)] = 1000.0
-    """Rate of the physics, 2, 3 or more times that of the IMU [Hz]."""
     imu_rate_hz: Annotated[float, Range(1.0, 10_000.0)] = 0.0
     """Rate of IMU samples and of the inner control loops [Hz]; that of the rig by default."""
     action_rate_hz: Annotated[float, Range(0.1, 10_000.0)] = 50.0
@@ -135,7 +133,6 @@ class EnvironmentSettings(Settings):
             _require_fraction("beams.rate_hz", self.beams.rate_hz, "action_rate_hz", self.action_rate_hz)
         _require_fraction("action_rate_hz", self.action_rate_hz, "imu_rate_hz", self.imu_rate_hz)
         _require_fraction("camera_rate_hz", self.camera_rate_hz, "action_rate_hz", self.action_rate_hz)
-        _require_fraction("imu_rate_hz", self.imu_rate_hz, "physics_rate_hz", self.physics_rate_hz)
 
     @property
     def samples(self) -> int:

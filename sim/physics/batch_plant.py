@@ -29,7 +29,7 @@ from dronevio.sim.physics.free_flight import FASTEST
 from dronevio.sim.physics.motion import extrapolated_back
 from dronevio.sim.physics.mover_contacts import BatchMoverContacts
 from dronevio.sim.physics.rotors import Airflow, Rotors
-from dronevio.sim.physics.vehicle import LONGEST_STEP_S, imu_interval_ns, meeting_spec, physics_spec, standing_pose
+from dronevio.sim.physics.vehicle import imu_interval_ns, meeting_spec, physics_spec, physics_steps, standing_pose
 from dronevio.sim.physics.vehicle_states import Rows, VehicleParameters, VehicleStates, with_rows
 from dronevio.sim.physics.wind import CALM, BatchAir, Winds
 
@@ -53,7 +53,6 @@ class BatchPlant:
         rig: Rig,
         quadrotor: Quadrotor | None = None,
         *,
-        step_s: float = LONGEST_STEP_S,
         surroundings: mujoco.MjSpec | None = None,
         movers: Sequence[Moving] = (),
         ground_m: float = 0.0,
@@ -67,7 +66,6 @@ class BatchPlant:
             count: Number of vehicles.
             rig: Mounting and rate of the IMU.
             quadrotor: The vehicle type; the research quadrotor of 1.5 kg by default.
-            step_s: Time step of contacts [s]; at most half the IMU interval, of which it is a fraction.
             surroundings: Specification of a world, whose geoms of group 3 are solid; only a floor by default.
             movers: All moving objects of the world; a vehicle that meets one has collided, but is not pushed.
             ground_m: Height of the ground of the ground effect [m].
@@ -76,15 +74,14 @@ class BatchPlant:
             nthread: Number of threads; 0 means one for each processor.
 
         Raises:
-            ConfigError: There is no vehicle, the IMU rate is too low, or the time step does not divide the IMU
-                interval into two or more steps.
+            ConfigError: There is no vehicle, or the IMU rate is too low.
         """
         if count < 1:
             raise ConfigError(f"{count} vehicles; expected 1 or more")
         self.rig = rig
         self.quadrotor = quadrotor or RESEARCH
         self.interval_ns = imu_interval_ns(rig)
-        substeps = _substeps(self.interval_s, step_s)
+        substeps = physics_steps(self.interval_s)
         step_s = self.interval_s / substeps
         self._ground_m = ground_m
         spec = physics_spec(self.quadrotor, rig, step_s, surroundings)
@@ -274,17 +271,3 @@ class BatchPlant:
         after = velocities_of(T[:3, 3], middle)
         force = specific_forces(rotations(motion[QUATERNION]), before, after, self.interval_s)  # in the vehicle frame
         return after, PointSamples(motion[RATE].T @ T[:3, :3], force.T @ T[:3, :3])
-
-
-def _substeps(interval_s: float, step_s: float) -> int:
-    """Return the number of time steps in an IMU interval.
-
-    Raises:
-        ConfigError: The time step does not divide the interval into two or more steps.
-    """
-    count = round(interval_s / step_s) if step_s > 0.0 else 0
-    if count < 2 or abs(count * step_s - interval_s) > 1e-6 * interval_s:
-        raise ConfigError(
-            f"time step of {step_s:g} s; expected a half, third, … of the IMU interval of {interval_s:g} s"
-        )
-    return count

@@ -18,7 +18,7 @@ from dronevio.sim.physics.motion import Motion
 from dronevio.sim.physics.mover_contacts import MoverContacts
 from dronevio.sim.physics.rotors import ALL_POWERED, Airflow, MotorFailure, Rotors
 from dronevio.sim.physics.simulation import MotionRecord, Simulation
-from dronevio.sim.physics.vehicle import LONGEST_STEP_S, imu_interval_ns, meeting_spec, physics_model, standing_pose
+from dronevio.sim.physics.vehicle import imu_interval_ns, meeting_spec, physics_model, physics_steps, standing_pose
 from dronevio.sim.physics.wind import CALM, Air, Wind
 
 _VEHICLE = np.eye(4)
@@ -63,7 +63,7 @@ class QuadrotorPlant:
         self.quadrotor = quadrotor or RESEARCH
         self.interval_ns = imu_interval_ns(rig)
         self.interval_s = self.interval_ns * 1e-9
-        substeps = max(2, int(np.ceil(self.interval_s / LONGEST_STEP_S - 1e-9)))
+        substeps = physics_steps(self.interval_s)
         self._step_s = self.interval_s / substeps
         self._rotors = Rotors(self.quadrotor)
         self._air = Air(wind, rng)

@@ -1,5 +1,7 @@
 """MuJoCo models of the vehicle, for rendering and for the physics."""
 
+from math import ceil
+
 import mujoco
 import numpy as np
 
@@ -27,6 +29,11 @@ def imu_interval_ns(rig: Rig) -> int:
     if rig.imu.rate_hz < LOWEST_IMU_RATE_HZ:
         raise ConfigError(f"IMU rate of {rig.imu.rate_hz:g} Hz; expected at least {LOWEST_IMU_RATE_HZ:g} Hz")
     return round(1e9 / rig.imu.rate_hz)
+
+
+def physics_steps(interval_s: float) -> int:
+    """Return the number of MuJoCo's time steps in an IMU interval [s]: two or more, of at most `LONGEST_STEP_S`."""
+    return max(2, ceil(interval_s / LONGEST_STEP_S - 1e-9))
 
 
 def quadrotor_spec(quadrotor: Quadrotor, rig: Rig) -> mujoco.MjSpec:

@@ -27,25 +27,21 @@ def fixture_of(name: str) -> Callable[[Callable[[str], Any]], Any]:
 measuring, corrupted_tracks, profiler, seeds = map(fixture_of, ("measuring", "corrupted_tracks", "profiler", "seeds"))
 
 
-gym_speed, physics_rates = map(fixture_of, ("gym_speed", "physics_rates"))
+gym_speed, physics_errors = map(fixture_of, ("gym_speed", "physics_errors"))
 
 
-def test_rows_of_other_simulators_have_ratios(gym_speed: Any) -> None:
+def test_rows_of_other_simulators(gym_speed: Any) -> None:
     measured = [{"version": "3.0.0", "settings": "two vehicles", "speed": 72.4}]
-    rows = gym_speed.rows_of("rotorpy", measured, own=144.8)
-    assert rows == [("rotorpy 3.0.0", "two vehicles", "72", "2", gym_speed.LEFT_OUT["rotorpy"])]
+    rows = gym_speed.rows_of("rotorpy", measured)
+    assert rows == [("rotorpy 3.0.0", "two vehicles", "72", gym_speed.LEFT_OUT["rotorpy"])]
 
 
-def test_errors_of_the_physics_shrink_with_the_step(physics_rates: Any) -> None:
-    paths = physics_rates.random_paths(2)
-    reference = physics_rates.fly_controlled(4000, paths, 0.5)
-    coarse, fine = (
-        physics_rates.errors(physics_rates.fly_controlled(rate_hz, paths, 0.5), reference) for rate_hz in (400, 1000)
-    )
-    # The integrator is of first order: (1/400 - 1/4000) / (1/1000 - 1/4000) = 3
-    np.testing.assert_allclose(np.array(coarse) / np.array(fine), 3.0, rtol=0.2)
-    again = physics_rates.fly_open(4000, paths, reference.commands)
-    np.testing.assert_array_equal(again.position_m, reference.position_m)
+def test_errors_of_the_physics_are_those_of_mujoco(physics_errors: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    physics_errors.measure(physics_errors.ErrorsCommand(count=4))
+    rows = [line.split() for line in capsys.readouterr().out.splitlines() if "Hz" in line]
+    energy, position = ([float(row[column]) for row in rows] for column in (-5, -4))
+    assert energy[0] < 1e-6 and position[0] < 1e-6  # free flight
+    np.testing.assert_allclose(np.array(energy[1:3]) / energy[3], [10.0, 4.0], rtol=0.2)  # of first order in the step
 
 
 @settings(deadline=None)

@@ -63,9 +63,9 @@ def test_many_vehicles_are_measured(capsys: pytest.CaptureFixture[str]) -> None:
         "plant with IMU",
         "vector environment with IMU",
     ]
-    assert [figure["bound"] for figure in figures] == [0.6, 0.75, 0.75, 300.0, 300.0, 600.0, 600.0]
+    assert [figure["bound"] for figure in figures] == [3.0, 3.5, 2.5, 900.0, 600.0, 600.0, 600.0]
     plant, plant_without_imu, without_imu, speed, environment, grey, depth = (figure["value"] for figure in figures)
-    assert 0.0 < plant < 1.0 and 0.0 < plant_without_imu < 1.5 and 0.0 < without_imu < 1.5
+    assert 0.0 < plant < 10.0 and 0.0 < plant_without_imu < 15.0 and 0.0 < without_imu < 10.0
     assert speed > 5.0 and environment > 1.0
     assert grey > 10.0 and depth > 10.0
     assert main(["speed", "gym", "--runs", "0"]) == 2
@@ -74,16 +74,16 @@ def test_many_vehicles_are_measured(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_ratios_of_many_vehicles_are_medians_of_runs() -> None:
     timings = [
-        BatchTiming(2.0, 4.0, 2.5, 5.0, 2.0),
-        BatchTiming(3.0, 3.0, 3.0, 1.0, 4.0),
-        BatchTiming(2.0, 10.0, 4.0, 0.2, 4.0),
+        BatchTiming(10.0, 4.0, 2.5, 5.0, 2.0),
+        BatchTiming(15.0, 3.0, 3.0, 1.0, 4.0),
+        BatchTiming(10.0, 10.0, 4.0, 0.2, 4.0),
     ]
     figures = figures_of(timings, count=100, actions=50)
     plant, plant_without_imu, without_imu, speed, environment = figures
-    assert [figure.value for figure in figures] == [0.5, 0.8, 0.75, 25.0, 100.0]
+    assert [figure.value for figure in figures] == [2.5, 4.0, 3.75, 25.0, 100.0]
     assert not plant.met and plant_without_imu.met and without_imu.met and not speed.met and not environment.met
-    assert "bare: 50 simulated s" in plant.method and "33 simulated s" in plant_without_imu.method
-    assert "25 simulated s" in without_imu.method and "3.00 of the bare physics" in environment.method
+    assert "bare: 10 simulated s" in plant.method and "33 simulated s" in plant_without_imu.method
+    assert "25 simulated s" in without_imu.method and "15.00 of the bare physics" in environment.method
 
 
 def test_bounds_are_upper_or_lower() -> None:

@@ -368,7 +368,6 @@ def test_the_built_in_loops_keep_hover_at_its_target() -> None:
         ({"render_mode": "ansi"}, "render mode 'ansi'; expected None or 'human' or 'rgb_array'"),
         ({"action_rate_hz": 60.0}, "action_rate_hz = 60 with imu_rate_hz = 200"),
         ({"camera_rate_hz": 20.0}, "camera_rate_hz = 20 with action_rate_hz = 50"),
-        ({"physics_rate_hz": 500.0}, "imu_rate_hz = 200 with physics_rate_hz = 500"),
         ({"image_size": (0, 64)}, "expected 2 whole numbers, each 1 to 4096"),
         ({"camera": 1}, "camera = 1 of a rig with 1 cameras; expected an index from 0"),
     ],
