@@ -236,14 +236,14 @@ class DroneCore:
         if self._beams is not None:
             self._beams.advance(after)
         step = Transition(last.states, after, action, last.action, self._t_s, reason > 0, standing_m, sigma_m, seen_m3)
-        failed = _checked_mask(task, "failed", task.failed(self.area, last.goals, step), self.count)
+        failed = _checked_mask(task, "failed", task.failed(last.goals, step), self.count)
         reason = np.where((reason == 0) & failed, Termination.TASK_FAILED, reason)
         step = replace(step, failed=reason > 0)
-        goals = task.advance(self.area, last.goals, step)
-        terms = _checked_terms(task, task.reward_terms(self.area, last.goals, goals, step), self.count)
+        goals = task.advance(last.goals, step)
+        terms = _checked_terms(task, task.reward_terms(last.goals, goals, step), self.count)
         images = None if last.images is None else last.images.one_step_later()
         self._episode = EpisodeState(last.randomized, goals, after, last.begun_ns, action, delayed, loops, images)
-        success = _checked_mask(task, "success", task.success(self.area, goals, step), self.count) & ~step.failed
+        success = _checked_mask(task, "success", task.success(goals, step), self.count) & ~step.failed
         reason = np.where(success & task.ends_with_success, Termination.SUCCESS, reason)
         info = {
             "success": success,
@@ -404,7 +404,7 @@ class DroneCore:
 
     def _objective(self) -> Objective:
         """Return the current and the following goals."""
-        return self.settings.task.objective(self.area, self._episode.goals, self._t_s)
+        return self.settings.task.objective(self._episode.goals, self._t_s)
 
     def _state_info(self) -> dict[str, Any]:
         """Return values by name, arrays of n rows, that describe the current state."""

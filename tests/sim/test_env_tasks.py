@@ -60,7 +60,7 @@ def test_episodes_start_within_the_bounds(name: str) -> None:
     low, high = task.bounds_m(AREA)
     assert np.all(states.position_m > low) and np.all(states.position_m < high)
     assert np.linalg.norm(states.position_m - states.position_m[0], axis=1).max() > 0.5
-    objective = task.objective(AREA, goals, np.zeros(200))
+    objective = task.objective(goals, np.zeros(200))
     assert np.all(objective.position_m > low) and np.all(objective.position_m < high)
 
 
@@ -81,11 +81,11 @@ def test_hover_rewards_closeness_and_smooth_actions() -> None:
         after=replace(made.after, rate_rad_s=np.array([[3.0, 0.0, 4.0]])),
         action=np.array([[0.5, 0.5, 0.0, 0.0]]),
     )
-    terms = task.reward_terms(AREA, goals, goals, made)
+    terms = task.reward_terms(goals, goals, made)
     assert terms["closeness"][0] == pytest.approx(np.exp(-0.5 / 0.5 - 5.0 / 5.0))
     assert terms["smoothness"][0] == pytest.approx(-0.01 * 0.125)
-    assert not task.success(AREA, goals, made)[0]
-    assert task.success(AREA, goals, step([0.0, 0.0, 0.0], [0.05, 0.0, 1.2]))[0]
+    assert not task.success(goals, made)[0]
+    assert task.success(goals, step([0.0, 0.0, 0.0], [0.05, 0.0, 1.2]))[0]
 
 
 def test_hover_has_to_keep_its_target() -> None:
@@ -96,34 +96,32 @@ def test_hover_has_to_keep_its_target() -> None:
     path = [(0.5, 0.0), (1.0, 0.05), (2.0, 0.2), (2.5, 0.0), (2.98, 0.05), (3.0, 0.05), (9.98, 0.05), (10.0, 0.11)]
     for t_s, x in path:
         made = step([0.0, 0.0, 0.0], [x, 0.0, 1.2], t_s=t_s)
-        goals = task.advance(AREA, goals, made)
-        kept.append(bool(task.success(AREA, goals, made)[0]))
+        goals = task.advance(goals, made)
+        kept.append(bool(task.success(goals, made)[0]))
     assert kept == [True, True, False, False, False, True, True, False]
     oscillating = [step([0.0, 0.0, 0.0], [0.3 * np.sin(k), 0.0, 1.2], t_s=0.02 * k) for k in range(500)]
     _, goals = task.begin(AREA, RESEARCH, np.random.default_rng(0), 1)
     for made in oscillating:
-        goals = task.advance(AREA, goals, made)
-        assert made.t_s[0] < 0.1 or not task.success(AREA, goals, made)[0]
+        goals = task.advance(goals, made)
+        assert made.t_s[0] < 0.1 or not task.success(goals, made)[0]
 
 
 def test_waypoints_are_reached_in_order() -> None:
     task = Waypoints(count=2)
     goals = WaypointsGoals(np.array([[[1.0, 0.0, 1.0], [0.0, 1.0, 1.0]]]), np.zeros(1, np.int64))
     aside = step([0.0, 0.0, 1.0], [0.0, 1.0, 1.0])
-    assert task.advance(AREA, goals, aside).reached[0] == 0  # the second point does not count before the first
+    assert task.advance(goals, aside).reached[0] == 0  # the second point does not count before the first
     there = step([0.0, 0.0, 1.0], [0.8, 0.0, 1.0])
-    after = task.advance(AREA, goals, there)
-    assert after.reached[0] == 1 and not task.success(AREA, after, there)[0]
-    terms = task.reward_terms(AREA, goals, after, there)
+    after = task.advance(goals, there)
+    assert after.reached[0] == 1 and not task.success(after, there)[0]
+    terms = task.reward_terms(goals, after, there)
     assert terms["progress"][0] == pytest.approx(5.0 * 0.04)  # not more, since it is faster than what is rewarded
     assert terms["reached"][0] == 5.0 and terms["failure"][0] == 0.0
     slowly = step([0.0, 0.0, 1.0], [0.03, 0.0, 1.0])
-    assert task.reward_terms(AREA, goals, goals, slowly)["progress"][0] == pytest.approx(5.0 * 0.03)
-    np.testing.assert_array_equal(
-        task.objective(AREA, after, np.zeros(1)).position_m[0], [[0.0, 1.0, 1.0], [0.0, 1.0, 1.0]]
-    )
-    end = task.advance(AREA, after, step([0.8, 0.0, 1.0], [0.0, 1.1, 1.0]))
-    assert task.success(AREA, end, there)[0] and task.ends_with_success
+    assert task.reward_terms(goals, goals, slowly)["progress"][0] == pytest.approx(5.0 * 0.03)
+    np.testing.assert_array_equal(task.objective(after, np.zeros(1)).position_m[0], [[0.0, 1.0, 1.0], [0.0, 1.0, 1.0]])
+    end = task.advance(after, step([0.8, 0.0, 1.0], [0.0, 1.1, 1.0]))
+    assert task.success(end, there)[0] and task.ends_with_success
 
 
 def test_waypoints_keep_their_distance() -> None:
@@ -138,14 +136,14 @@ def test_the_reference_of_track_moves_as_documented() -> None:
     task = Track()
     one, zeros = np.ones((1, 3)), np.zeros(1)
     goals = TrackGoals(one, 0.5 * one, 2.0 * one, 0.0 * one, zeros, np.zeros(1, np.int64))
-    ahead = task.objective(AREA, goals, np.array([0.3])).position_m
+    ahead = task.objective(goals, np.array([0.3])).position_m
     np.testing.assert_allclose(ahead[0, :, 0], 1.0 + 0.5 * np.sin(2.0 * (0.3 + 0.1 * np.arange(5))))
     made = step(np.ones(3), np.ones(3), t_s=0.1)
-    after = task.advance(AREA, goals, made)
+    after = task.advance(goals, made)
     distance = np.sqrt(3.0) * 0.5 * np.sin(0.2)
     assert after.summed_m[0] == pytest.approx(distance) and after.steps[0] == 1
-    assert task.reward_terms(AREA, goals, after, made)["closeness"][0] == pytest.approx(np.exp(-distance / 0.3))
-    assert task.success(AREA, after, made)[0] == (distance < 0.2)
+    assert task.reward_terms(goals, after, made)["closeness"][0] == pytest.approx(np.exp(-distance / 0.3))
+    assert task.success(after, made)[0] == (distance < 0.2)
 
 
 def test_track_starts_with_the_velocity_of_the_reference() -> None:
@@ -155,6 +153,12 @@ def test_track_starts_with_the_velocity_of_the_reference() -> None:
     before, after = (goals.position_m(np.full((4, 1), t))[:, 0] for t in (-dt, dt))
     np.testing.assert_allclose(states.position_m, goals.position_m(np.zeros((4, 1)))[:, 0])
     np.testing.assert_allclose(states.velocity_m_s, (after - before) / (2.0 * dt), atol=1e-6)
+
+
+def race_goals(first: int, total: int) -> RaceGoals:
+    """Return the goals of one episode on the course of `AREA`."""
+    _, goals = Race().begin(AREA, RESEARCH, np.random.default_rng(0), 1)
+    return replace(goals, first=np.full(1, first), total=np.full(1, total))
 
 
 @pytest.mark.parametrize(
@@ -170,22 +174,22 @@ def test_track_starts_with_the_velocity_of_the_reference() -> None:
     ],
 )
 def test_gates_count_when_their_opening_is_crossed(before: Array, after: Array, passed: int) -> None:
-    goals = RaceGoals(np.zeros(1, np.int64), np.zeros(1, np.int64), np.full(1, 2, np.int64))
+    goals = race_goals(first=0, total=2)
     made = step(np.array(before), np.array(after))
-    assert Race(laps=1).advance(AREA, goals, made).passed[0] == passed
+    assert Race(laps=1).advance(goals, made).passed[0] == passed
 
 
 def test_the_race_ends_after_all_gates() -> None:
     task = Race(laps=2)
-    goals = RaceGoals(np.ones(1, np.int64), np.zeros(1, np.int64), np.full(1, 4, np.int64))
-    np.testing.assert_allclose(task.objective(AREA, goals, np.zeros(1)).direction[0, :, 0], [-1.0, 1.0], atol=1e-12)
+    goals = race_goals(first=1, total=4)
+    np.testing.assert_allclose(task.objective(goals, np.zeros(1)).direction[0, :, 0], [-1.0, 1.0], atol=1e-12)
     through = [step([0.1, 5.0, 2.0], [-0.1, 5.0, 2.0]), step([4.9, 0.0, 2.0], [5.1, 0.0, 2.0])]
     for count, made in enumerate([*through, *through], start=1):
-        before, goals = goals, task.advance(AREA, goals, made)
+        before, goals = goals, task.advance(goals, made)
         assert goals.passed[0] == count
-        assert task.reward_terms(AREA, before, goals, made)["passed"][0] == 3.0
-    assert task.success(AREA, goals, through[-1])[0] and task.ends_with_success
-    assert task.reward_terms(AREA, goals, goals, step(np.zeros(3), np.zeros(3), failed=True))["failure"][0] == -5.0
+        assert task.reward_terms(before, goals, made)["passed"][0] == 3.0
+    assert task.success(goals, through[-1])[0] and task.ends_with_success
+    assert task.reward_terms(goals, goals, step(np.zeros(3), np.zeros(3), failed=True))["failure"][0] == -5.0
 
 
 @pytest.mark.parametrize(
@@ -198,8 +202,8 @@ def test_the_race_ends_after_all_gates() -> None:
     ],
 )
 def test_approaches_of_gates_are_rewarded(before: Array, after: Array, progress: float) -> None:
-    goals = RaceGoals(np.zeros(1, np.int64), np.zeros(1, np.int64), np.full(1, 2, np.int64))
-    terms = Race().reward_terms(AREA, goals, goals, step(before, after))
+    goals = race_goals(first=0, total=2)
+    terms = Race().reward_terms(goals, goals, step(before, after))
     assert terms["progress"][0] == pytest.approx(progress)
 
 
@@ -230,8 +234,8 @@ def test_navigation_ends_at_the_goal() -> None:
     task = Navigate()
     goals = PointGoals(np.array([[5.0, 5.0, 2.0]]))
     made = step([4.0, 5.0, 2.0], [4.6, 5.0, 2.0])
-    assert task.success(AREA, goals, made)[0] and task.ends_with_success
-    terms = task.reward_terms(AREA, goals, goals, made)
+    assert task.success(goals, made)[0] and task.ends_with_success
+    terms = task.reward_terms(goals, goals, made)
     assert (terms["progress"][0], terms["reached"][0]) == (pytest.approx(0.6), 10.0)
 
 
@@ -253,13 +257,13 @@ def test_explore_rewards_the_volume_that_becomes_known() -> None:
         seen_m3=np.array([2.0]),
         action=np.array([[1.0, 1.0, 0.0, 0.0]]),
     )
-    after = task.advance(AREA, goals, made)
-    assert after.seen_m3[0] == 9.5 and not task.success(AREA, after, made)[0]
-    terms = task.reward_terms(AREA, goals, after, made)
+    after = task.advance(goals, made)
+    assert after.seen_m3[0] == 9.5 and not task.success(after, made)[0]
+    terms = task.reward_terms(goals, after, made)
     assert terms["seen"][0] == pytest.approx(0.4)
     assert terms["smoothness"][0] == pytest.approx(-0.01 * 0.5)
     assert terms["failure"][0] == -10.0 and terms["rate"][0] == 0.0
-    assert task.success(AREA, task.advance(AREA, after, made), made)[0]
+    assert task.success(task.advance(after, made), made)[0]
     with pytest.raises(ConfigError, match="no goal"):
         task.with_goal(goals, np.zeros((1, 3)))
 

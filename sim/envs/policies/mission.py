@@ -107,7 +107,7 @@ def policy_outcome(mission: PolicyMission, flight: Flight, began_ns: int | None)
     policy = mission.policy
     if began_ns is None:
         return PolicyOutcome(policy.environment, False, 0.0, None, "no take-off")
-    truth, task, area = flight.truth, mission.task, mission.area
+    truth, task = flight.truth, mission.task
     stride = round(flight.true_rig.imu.rate_hz / policy.action_rate_hz)
     rows = np.arange(int(np.searchsorted(truth.t_ns, began_ns)), len(truth), stride)
     states = _vehicle_states(flight, rows)
@@ -118,8 +118,8 @@ def policy_outcome(mission: PolicyMission, flight: Flight, began_ns: int | None)
         before, now = now, states.rows(slice(k, k + 1))
         t_s = float(truth.t_ns[rows[k]] - truth.t_ns[rows[0]]) * 1e-9
         step = Transition(before, now, idle, idle, np.array([t_s]), none)
-        goals = task.advance(area, goals, step)
-        success = bool(task.success(area, goals, step)[0])
+        goals = task.advance(goals, step)
+        success = bool(task.success(goals, step)[0])
         reason = int(failures(now, none, none, none, mission.bounds)[0])
         is_done = success and task.ends_with_success
         if reason or is_done or t_s >= task.episode_s - 1e-9:
@@ -128,7 +128,7 @@ def policy_outcome(mission: PolicyMission, flight: Flight, began_ns: int | None)
             break
     else:
         success = False
-    goal = task.objective(area, goals, np.array([t_s])).position_m[:, 0]
+    goal = task.objective(goals, np.array([t_s])).position_m[:, 0]
     return PolicyOutcome(policy.environment, success, t_s, float(distance_m(now, goal)[0]), end)
 
 

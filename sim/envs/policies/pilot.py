@@ -154,8 +154,8 @@ class PolicyPilot:
         task = mission.task
         if flown.calls:
             step = Transition(flown.before, now, flown.action, flown.action, np.array([self._t_s]), nothing)
-            goals = task.advance(mission.area, goals, step)
-            ended = bool(task.ends_with_success and task.success(mission.area, goals, step)[0])
+            goals = task.advance(goals, step)
+            ended = bool(task.ends_with_success and task.success(goals, step)[0])
         observed = ObservedState(
             now,
             self._objective(goals),
@@ -172,7 +172,7 @@ class PolicyPilot:
 
     def _objective(self, goals: Any) -> Objective:
         """Return the current and the following goals."""
-        return self._mission.task.objective(self._mission.area, goals, np.array([self._t_s]))
+        return self._mission.task.objective(goals, np.array([self._t_s]))
 
 
 @dataclass(frozen=True, eq=False)

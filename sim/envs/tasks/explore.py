@@ -132,24 +132,22 @@ class Explore(BaseTask):
         states = self.start.states(start, quadrotor, rng, rng.uniform(-np.pi, np.pi, count))
         return states, ExploreGoals(start, np.zeros(count))
 
-    def objective(self, area: FlightArea, goals: ExploreGoals, t_s: Array) -> Objective:
+    def objective(self, goals: ExploreGoals, t_s: Array) -> Objective:
         """Return the places of the starts."""
         return Objective.of(goals.start_m[:, None])
 
-    def advance(self, area: FlightArea, goals: ExploreGoals, step: Transition) -> ExploreGoals:
+    def advance(self, goals: ExploreGoals, step: Transition) -> ExploreGoals:
         """Add the volumes of this step."""
         return replace(goals, seen_m3=goals.seen_m3 + step.seen_m3)
 
-    def reward_terms(
-        self, area: FlightArea, before: ExploreGoals, goals: ExploreGoals, step: Transition
-    ) -> dict[str, Array]:
+    def reward_terms(self, before: ExploreGoals, goals: ExploreGoals, step: Transition) -> dict[str, Array]:
         """Return the terms of the reward."""
         return {
             "seen": weighted(self.seen, step.seen_m3),
             **penalties(step, self.rate, self.smoothness, self.failure),
         }
 
-    def success(self, area: FlightArea, goals: ExploreGoals, step: Transition) -> Mask:
+    def success(self, goals: ExploreGoals, step: Transition) -> Mask:
         """Return where enough has become known."""
         return goals.seen_m3 >= self.volume_m3
 

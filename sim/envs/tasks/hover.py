@@ -110,24 +110,22 @@ class Hover(BaseTask):
         target = np.tile(area.pad + [0.0, 0.0, self.height_m], (count, 1))
         return self.start.states(target, quadrotor, rng), HoverGoals(target, np.full(count, -np.inf))
 
-    def objective(self, area: FlightArea, goals: HoverGoals, t_s: Array) -> Objective:
+    def objective(self, goals: HoverGoals, t_s: Array) -> Objective:
         """Return the targets."""
         return Objective.of(goals.target_m[:, None])
 
-    def advance(self, area: FlightArea, goals: HoverGoals, step: Transition) -> HoverGoals:
+    def advance(self, goals: HoverGoals, step: Transition) -> HoverGoals:
         """Record when vehicles are away from their targets."""
         return replace(goals, away_s=np.where(self._is_near(goals, step), goals.away_s, step.t_s))
 
-    def reward_terms(
-        self, area: FlightArea, before: HoverGoals, goals: HoverGoals, step: Transition
-    ) -> dict[str, Array]:
+    def reward_terms(self, before: HoverGoals, goals: HoverGoals, step: Transition) -> dict[str, Array]:
         """Return closeness and smoothness."""
         return {
             "closeness": closeness(step.after, goals.target_m, self.distance_scale_m, self.rate_scale_rad_s),
             "smoothness": -self.smoothness * action_change(step),
         }
 
-    def success(self, area: FlightArea, goals: HoverGoals, step: Transition) -> Mask:
+    def success(self, goals: HoverGoals, step: Transition) -> Mask:
         """Return which vehicles keep their targets."""
         return self._is_near(goals, step) & (step.t_s - goals.away_s >= _KEPT_S)
 

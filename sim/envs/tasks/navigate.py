@@ -124,17 +124,15 @@ class Navigate(BaseTask):
         states = self.start.states(start, quadrotor, rng, np.arctan2(heading[:, 1], heading[:, 0]))
         return states, PointGoals(goal)
 
-    def reward_terms(
-        self, area: FlightArea, before: PointGoals, goals: PointGoals, step: Transition
-    ) -> dict[str, Array]:
+    def reward_terms(self, before: PointGoals, goals: PointGoals, step: Transition) -> dict[str, Array]:
         """Return the terms of the reward."""
         return {
             "progress": self.progress * approach_m(step, goals.goal_m),
-            "reached": weighted(self.reached, self.success(area, goals, step)),
+            "reached": weighted(self.reached, self.success(goals, step)),
             **penalties(step, self.rate, self.smoothness, self.failure),
         }
 
-    def success(self, area: FlightArea, goals: PointGoals, step: Transition) -> Mask:
+    def success(self, goals: PointGoals, step: Transition) -> Mask:
         """Return which goals are reached."""
         return distance_m(step.after, goals.goal_m) < self.tolerance_m
 

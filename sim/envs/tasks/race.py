@@ -31,6 +31,12 @@ class RaceGoals(Table):
     """(n,) Numbers of gates that have been passed."""
     total: npt.NDArray[np.int64]
     """(n,) Numbers of gates to pass."""
+    middle_m: Array
+    """(n, G, 3) Centres of all gates in the world [m]."""
+    ahead: Array
+    """(n, G, 3) Unit normals of the gates, in the direction of flight."""
+    opening_m: Array
+    """(n, G) Width and height of the gates [m]."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +135,7 @@ frame [m] |
         self, area: FlightArea, quadrotor: Quadrotor, rng: np.random.Generator, count: int
     ) -> tuple[VehicleStates, RaceGoals]:
         """Draw initial states on the course."""
-        middles, ahead, _ = _course(area)
+        middles, ahead, openings = _course(area)
         on_course = rng.random(count) < self.on_course
         behind = rng.integers(0, len(middles), count)
         pad = area.pad + [0.0, 0.0, _START_HEIGHT_M]
@@ -138,18 +144,18 @@ frame [m] |
         heading = middles[first] - place
         states = self.start.states(place, quadrotor, rng, np.arctan2(heading[:, 1], heading[:, 0]))
         total = np.full(count, self.laps * len(middles), dtype=np.int64)
-        return states, RaceGoals(first, np.zeros(count, dtype=np.int64), total)
+        course = (np.tile(part, (count, *[1] * part.ndim)) for part in (middles, ahead, openings))
+        return states, RaceGoals(first, np.zeros(count, dtype=np.int64), total, *course)
 
-    def objective(self, area: FlightArea, goals: RaceGoals, t_s: Array) -> Objective:
+    def objective(self, goals: RaceGoals, t_s: Array) -> Objective:
         """Return the current and the next gate."""
-        middles, ahead, openings = _course(area)
         index = (goals.first + goals.passed)[:, None] + np.arange(_AHEAD)
-        index %= len(middles)
-        return Objective(middles[index], ahead[index], openings[index])
+        gates = np.arange(len(index))[:, None], index % goals.middle_m.shape[1]
+        return Objective(goals.middle_m[gates], goals.ahead[gates], goals.opening_m[gates])
 
-    def advance(self, area: FlightArea, goals: RaceGoals, step: Transition) -> RaceGoals:
+    def advance(self, goals: RaceGoals, step: Transition) -> RaceGoals:
         """Count the gates that are passed."""
-        objective = self.objective(area, goals, step.t_s)
+        objective = self.objective(goals, step.t_s)
         middle, ahead = objective.position_m[:, 0], objective.direction[:, 0]
         from_before = np.vecdot(step.before.position_m - middle, ahead)
         from_after = np.vecdot(step.after.position_m - middle, ahead)
@@ -161,9 +167,9 @@ frame [m] |
         passed = crossed & (beside < reach) & (np.abs(at[:, 2]) < reach)
         return replace(goals, passed=goals.passed + passed)
 
-    def reward_terms(self, area: FlightArea, before: RaceGoals, goals: RaceGoals, step: Transition) -> dict[str, Array]:
+    def reward_terms(self, before: RaceGoals, goals: RaceGoals, step: Transition) -> dict[str, Array]:
         """Return the terms of the reward."""
-        gate = self.objective(area, before, step.t_s)
+        gate = self.objective(before, step.t_s)
         approach_m = self._distance_m(step.before, gate) - self._distance_m(step.after, gate)
         return {
             "progress": self.progress * np.minimum(approach_m, self.approach_m),
@@ -181,7 +187,7 @@ frame [m] |
         along = np.vecdot(offset, gate.direction[:, 0])
         return np.asarray(np.sqrt(self.across * (np.vecdot(offset, offset) - along**2) + along**2))
 
-    def success(self, area: FlightArea, goals: RaceGoals, step: Transition) -> Mask:
+    def success(self, goals: RaceGoals, step: Transition) -> Mask:
         """Return where all laps are complete."""
         return goals.passed >= goals.total
 

@@ -132,35 +132,34 @@ class Task(Protocol[Goals]):
     def begin(
         self, area: FlightArea, quadrotor: Quadrotor, rng: np.random.Generator, count: int
     ) -> tuple[VehicleStates, Goals]:
-        """Draw the initial states and the goals of ``count`` episodes.
+        """Draw the initial states and the goals of ``count`` episodes in a world.
 
-        Vehicles whose height is below that of a standing vehicle start standing on the ground.
+        What an episode needs of its world is part of its goals. Vehicles whose height is below that of a standing
+        vehicle start standing on the ground.
         """
 
-    def objective(self, area: FlightArea, goals: Goals, t_s: Array) -> Objective:
+    def objective(self, goals: Goals, t_s: Array) -> Objective:
         """Return the current and the following goals at times (n,) since the start of the episodes [s]."""
 
-    def advance(self, area: FlightArea, goals: Goals, step: Transition) -> Goals:
+    def advance(self, goals: Goals, step: Transition) -> Goals:
         """Return the goals after a step."""
 
-    def reward_terms(self, area: FlightArea, before: Goals, goals: Goals, step: Transition) -> dict[str, Array]:
+    def reward_terms(self, before: Goals, goals: Goals, step: Transition) -> dict[str, Array]:
         """Return the terms of the reward (n,) by name, whose sum is the reward.
 
         Args:
-            area: The world.
             before: The goals before the step.
             goals: The goals after the step.
             step: The step.
         """
 
-    def success(self, area: FlightArea, goals: Goals, step: Transition) -> Mask:
+    def success(self, goals: Goals, step: Transition) -> Mask:
         """Return in which episodes (n,) the vehicles do at this time what the task demands."""
 
-    def failed(self, area: FlightArea, goals: Goals, step: Transition) -> Mask:
+    def failed(self, goals: Goals, step: Transition) -> Mask:
         """Return which episodes (n,) end by a failure of this task, beside those that `Termination` lists.
 
         Args:
-            area: The world.
             goals: The goals before the step.
             step: The step, whose `Transition.failed` has the other failures.
         """
@@ -222,23 +221,23 @@ class BaseTask(Settings, ABC):
     ) -> tuple[VehicleStates, Any]:
         """Draw the initial states and the goals of ``count`` episodes."""
 
-    def objective(self, area: FlightArea, goals: Any, t_s: Array) -> Objective:
+    def objective(self, goals: Any, t_s: Array) -> Objective:
         """Return the points to reach."""
         return Objective.of(goals.goal_m[:, None])
 
-    def advance(self, area: FlightArea, goals: Any, step: Transition) -> Any:
+    def advance(self, goals: Any, step: Transition) -> Any:
         """Return the same goals."""
         return goals
 
     @abstractmethod
-    def reward_terms(self, area: FlightArea, before: Any, goals: Any, step: Transition) -> dict[str, Array]:
+    def reward_terms(self, before: Any, goals: Any, step: Transition) -> dict[str, Array]:
         """Return the terms of the reward (n,) by name."""
 
-    def success(self, area: FlightArea, goals: Any, step: Transition) -> Mask:
+    def success(self, goals: Any, step: Transition) -> Mask:
         """Return False everywhere."""
         return np.zeros(len(step.t_s), dtype=np.bool_)
 
-    def failed(self, area: FlightArea, goals: Any, step: Transition) -> Mask:
+    def failed(self, goals: Any, step: Transition) -> Mask:
         """Return False everywhere."""
         return np.zeros(len(step.t_s), dtype=np.bool_)
 

@@ -148,18 +148,16 @@ frame [m] |
         states = self.start.states(goals.position_m(np.zeros((count, 1)))[:, 0], quadrotor, rng)
         return replace(states, velocity_m_s=states.velocity_m_s + goals.initial_velocity_m_s()), goals
 
-    def objective(self, area: FlightArea, goals: TrackGoals, t_s: Array) -> Objective:
+    def objective(self, goals: TrackGoals, t_s: Array) -> Objective:
         """Return the reference now and later."""
         return Objective.of(goals.position_m(t_s[:, None] + _SPACING_S * np.arange(_AHEAD)))
 
-    def advance(self, area: FlightArea, goals: TrackGoals, step: Transition) -> TrackGoals:
+    def advance(self, goals: TrackGoals, step: Transition) -> TrackGoals:
         """Add the distance of this step."""
         distance = distance_m(step.after, goals.position_m(step.t_s[:, None])[:, 0])
         return replace(goals, summed_m=goals.summed_m + distance, steps=goals.steps + 1)
 
-    def reward_terms(
-        self, area: FlightArea, before: TrackGoals, goals: TrackGoals, step: Transition
-    ) -> dict[str, Array]:
+    def reward_terms(self, before: TrackGoals, goals: TrackGoals, step: Transition) -> dict[str, Array]:
         """Return closeness and smoothness."""
         reference = goals.position_m(step.t_s[:, None])[:, 0]
         return {
@@ -167,7 +165,7 @@ frame [m] |
             "smoothness": -self.smoothness * action_change(step),
         }
 
-    def success(self, area: FlightArea, goals: TrackGoals, step: Transition) -> Mask:
+    def success(self, goals: TrackGoals, step: Transition) -> Mask:
         """Return where the mean distance is below the tolerance."""
         return goals.summed_m < self.tolerance_m * goals.steps
 

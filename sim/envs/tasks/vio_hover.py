@@ -22,6 +22,8 @@ _BELOW_PAD_M = 1.0  # the goal descends so far below the pad, so that errors of 
 class VioHoverGoals(Table):
     """Hover points and progress of n episodes."""
 
+    pad_m: Array
+    """(n, 3) Centres of the landing pads in the world [m]."""
     hover_m: Array
     """(n, 3) Points above the pad at which to hover, in the world [m]."""
     impact_m_s: Array
@@ -136,21 +138,21 @@ class VioHover(BaseTask):
         pad = np.tile(area.pad, (count, 1))
         hover = pad + [0.0, 0.0, self.height_m]
         never = np.full(count, np.inf)
-        return VehicleStates.at(pad), VioHoverGoals(hover, np.zeros(count), never, np.zeros(count, dtype=np.bool_))
+        return VehicleStates.at(pad), VioHoverGoals(pad, hover, np.zeros(count), never, np.zeros(count, dtype=np.bool_))
 
-    def objective(self, area: FlightArea, goals: VioHoverGoals, t_s: Array) -> Objective:
+    def objective(self, goals: VioHoverGoals, t_s: Array) -> Objective:
         """Return the goals at times (n,) since the start [s]."""
-        return Objective.of(self._goal_m(area, goals, t_s)[:, None])
+        return Objective.of(self._goal_m(goals, t_s)[:, None])
 
-    def advance(self, area: FlightArea, goals: VioHoverGoals, step: Transition) -> VioHoverGoals:
+    def advance(self, goals: VioHoverGoals, step: Transition) -> VioHoverGoals:
         """Record touchdowns and landings."""
-        on_ground = step.after.position_m[:, 2] - area.pad[2] < step.standing_m + _ON_GROUND_M
+        on_ground = step.after.position_m[:, 2] - goals.pad_m[:, 2] < step.standing_m + _ON_GROUND_M
         # each touchdown counts, also after a hop that is lower than this height
         impact = np.maximum(goals.impact_m_s, np.where(on_ground, -step.before.velocity_m_s[:, 2], 0.0))
         at_rest = on_ground & (np.linalg.norm(step.after.velocity_m_s, axis=1) < _AT_REST_M_S)
         at_rest &= step.t_s > self.descent_from_s
         rest_from_s = np.where(at_rest, np.minimum(goals.rest_from_s, step.t_s), np.inf)
-        aside = np.linalg.norm(step.after.position_m[:, :2] - area.pad[:2], axis=1)
+        aside = np.linalg.norm(step.after.position_m[:, :2] - goals.pad_m[:, :2], axis=1)
         softly = (aside < self.tolerance_m) & (impact <= self.impact_m_s)
         return replace(
             goals,
@@ -159,12 +161,10 @@ class VioHover(BaseTask):
             landed=goals.landed | (softly & (step.t_s - rest_from_s >= _AT_REST_S)),
         )
 
-    def reward_terms(
-        self, area: FlightArea, before: VioHoverGoals, goals: VioHoverGoals, step: Transition
-    ) -> dict[str, Array]:
+    def reward_terms(self, before: VioHoverGoals, goals: VioHoverGoals, step: Transition) -> dict[str, Array]:
         """Return the terms of the reward."""
-        goal_m = self._goal_m(area, goals, step.t_s)
-        goal_m[:, 2] = np.maximum(goal_m[:, 2], area.pad[2] + step.standing_m)
+        goal_m = self._goal_m(goals, step.t_s)
+        goal_m[:, 2] = np.maximum(goal_m[:, 2], goals.pad_m[:, 2] + step.standing_m)
         return {
             "closeness": closeness(step.after, goal_m, self.distance_scale_m, self.rate_scale_rad_s),
             "smoothness": -self.smoothness * action_change(step),
@@ -173,7 +173,7 @@ class VioHover(BaseTask):
             "failure": weighted(-self.failure, step.failed),
         }
 
-    def success(self, area: FlightArea, goals: VioHoverGoals, step: Transition) -> Mask:
+    def success(self, goals: VioHoverGoals, step: Transition) -> Mask:
         """Return which vehicles have landed."""
         return goals.landed
 
@@ -181,10 +181,10 @@ class VioHover(BaseTask):
         """Return goals with given hover points (n, 3) [m]."""
         return replace(goals, hover_m=goal_m)
 
-    def _goal_m(self, area: FlightArea, goals: VioHoverGoals, t_s: Array) -> Array:
+    def _goal_m(self, goals: VioHoverGoals, t_s: Array) -> Array:
         """Return the goals (n, 3) at times (n,) since the start [m]."""
         goal = goals.hover_m.copy()
-        climbed = area.pad[2] + self.climb_m_s * t_s
+        climbed = goals.pad_m[:, 2] + self.climb_m_s * t_s
         descended = goal[:, 2] - self.descent_m_s * np.maximum(t_s - self.descent_from_s, 0.0)
-        goal[:, 2] = np.maximum(np.minimum(climbed, descended), area.pad[2] - _BELOW_PAD_M)
+        goal[:, 2] = np.maximum(np.minimum(climbed, descended), goals.pad_m[:, 2] - _BELOW_PAD_M)
         return goal

@@ -92,11 +92,9 @@ class VioNavigate(Navigate):
         R = rotation_z(np.arctan2(heading[:, 1], heading[:, 0]))
         return VehicleStates.at(pad, R), PointGoals(goal)
 
-    def reward_terms(
-        self, area: FlightArea, before: PointGoals, goals: PointGoals, step: Transition
-    ) -> dict[str, Array]:
+    def reward_terms(self, before: PointGoals, goals: PointGoals, step: Transition) -> dict[str, Array]:
         """Return the terms of the reward."""
         return {
-            **super().reward_terms(area, before, goals, step),
+            **super().reward_terms(before, goals, step),
             "uncertainty": np.broadcast_to(-self.uncertainty * step.position_sigma_m, step.t_s.shape),
         }

@@ -139,18 +139,16 @@ class Waypoints(BaseTask):
             points[:, k] = last = _drawn_apart(box, last, self.spacing_m, rng)
         return states, WaypointsGoals(points, np.zeros(count, dtype=np.int64))
 
-    def objective(self, area: FlightArea, goals: WaypointsGoals, t_s: Array) -> Objective:
+    def objective(self, goals: WaypointsGoals, t_s: Array) -> Objective:
         """Return the current and the next point."""
         return Objective.of(goals.ahead_m(_AHEAD))
 
-    def advance(self, area: FlightArea, goals: WaypointsGoals, step: Transition) -> WaypointsGoals:
+    def advance(self, goals: WaypointsGoals, step: Transition) -> WaypointsGoals:
         """Count the points that are reached."""
         reached = distance_m(step.after, goals.ahead_m(1)[:, 0]) < self.tolerance_m
         return replace(goals, reached=np.minimum(goals.reached + reached, self.count))
 
-    def reward_terms(
-        self, area: FlightArea, before: WaypointsGoals, goals: WaypointsGoals, step: Transition
-    ) -> dict[str, Array]:
+    def reward_terms(self, before: WaypointsGoals, goals: WaypointsGoals, step: Transition) -> dict[str, Array]:
         """Return the terms of the reward."""
         current = before.ahead_m(1)[:, 0]
         return {
@@ -159,7 +157,7 @@ class Waypoints(BaseTask):
             **penalties(step, self.rate, self.smoothness, self.failure),
         }
 
-    def success(self, area: FlightArea, goals: WaypointsGoals, step: Transition) -> Mask:
+    def success(self, goals: WaypointsGoals, step: Transition) -> Mask:
         """Return where all points have been reached."""
         return goals.reached >= self.count
 
