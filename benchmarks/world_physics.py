@@ -43,10 +43,14 @@ def _surroundings(plant: type, world: str) -> dict[str, Any]:
     """Return the arguments of a plant that describe a world."""
     from dronevio.sim.world import collision_spec, illumination_and_movers
 
-    arguments: dict[str, Any] = {"surroundings": collision_spec(world, 1)}
-    if "movers" in inspect.signature(plant).parameters:
-        arguments["movers"] = illumination_and_movers(world, 1)[1]
-    return arguments
+    parameters, spec, movers = inspect.signature(plant).parameters, collision_spec(world, 1), ()
+    if {"movers", "worlds"} & set(parameters):
+        movers = illumination_and_movers(world, 1)[1]
+    if "worlds" in parameters:
+        from dronevio.sim.physics.batch_plant import PlantWorld
+
+        return {"worlds": [PlantWorld(spec, movers)]}
+    return {"surroundings": spec, **({"movers": movers} if "movers" in parameters else {})}
 
 
 def _starts(world: str, count: int) -> tuple[Any, Any]:

@@ -14,7 +14,7 @@ from dronevio.models.rotation import pose_matrix
 from dronevio.sim.envs.episodes.actions import action_mode, checked_actions, merged
 from dronevio.sim.envs.episodes.endings import GROUND_M, Bounds, Termination, failures
 from dronevio.sim.envs.episodes.latency import DelayedActions
-from dronevio.sim.envs.episodes.options import overridden
+from dronevio.sim.envs.episodes.options import overridden, overridden_parameters, require_known
 from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.sensing.arrangement import Arrangement
 from dronevio.sim.envs.sensing.estimation import EstimatorFactory
@@ -27,10 +27,10 @@ from dronevio.sim.envs.sensing.ray_maps import FINER, RayMaps, world_cells
 from dronevio.sim.envs.settings import EnvironmentSettings
 from dronevio.sim.envs.tasks import AnyTask, Objective, Transition
 from dronevio.sim.envs.tasks.task import distance_m
+from dronevio.sim.envs.worlds import WorldPool
 from dronevio.sim.physics.batch_plant import BatchPlant
 from dronevio.sim.physics.vehicle_states import VehicleStates, with_rows
 from dronevio.sim.physics.wind import Winds
-from dronevio.sim.world import collision_spec, flight_area, illumination_and_movers
 
 Observations = Any
 """Observations of n environments: a dict of arrays, nested with privileged observations, or one array if flat."""
@@ -54,6 +54,8 @@ class EpisodeState:
 
     randomized: RandomizedParameters
     """Values that were drawn for the episodes."""
+    bounds: Bounds
+    """Limits of the flights."""
     goals: Any
     """Goals and progress of the task."""
     states: VehicleStates
@@ -93,15 +95,14 @@ class DroneCore:
                 f"estimator in {count} environments of a native vector; expected single environments, for many of them"
                 ' gymnasium.make_vec with vectorization_mode="async", which is an AsyncVectorEnv'
             )
-        self.settings, task = settings, settings.task
-        self.area = flight_area(settings.world, settings.world_seed)
+        self.settings = settings
+        seeds = settings.randomization.world_seeds or (settings.world_seed,)
+        self._worlds = WorldPool(settings.world, seeds, settings.task)
         self.plant = BatchPlant(
             count,
             settings.rig,
             settings.vehicle,
-            surroundings=collision_spec(settings.world, settings.world_seed) if task.obstacles else None,
-            movers=illumination_and_movers(settings.world, settings.world_seed)[1] if task.obstacles else (),
-            ground_m=float(self.area.pad[2]),
+            worlds=self._worlds.of_plant,
             imu=settings.has_imu,
             nthread=settings.threads,
         )
@@ -112,7 +113,7 @@ class DroneCore:
             ImageRenderer(
                 settings.steps_per_image,
                 settings.image_source,
-                settings.world_seed,
+                int(self._worlds.seeds[0]),
                 settings.depth_errors,
                 settings.depth_focal_px,
             )
@@ -120,15 +121,18 @@ class DroneCore:
             else None
         )
         self._maps = self._unknown_maps() if settings.has_map else None
-        world = settings.world, settings.world_seed
         self._beams = (
-            RangeBeams(count, world, settings.beams, settings.steps_per_ranging) if settings.has_beams else None
+            RangeBeams(count, settings.world, self._worlds.seeds.tolist(), settings.beams, settings.steps_per_ranging)
+            if settings.has_beams
+            else None
         )
         self._rng = np.random.default_rng(0)
         self._loop: EstimatorLoop | None = None
-        states, goals = self._begin(count)
+        world = np.zeros(count, dtype=np.intp)
+        states, goals = self._begin(world)
         self._episode = EpisodeState(
-            randomized=RandomizedParameters.nominal(count, settings.world_seed),
+            randomized=RandomizedParameters.nominal(count, int(self._worlds.seeds[0])),
+            bounds=self._worlds.bounds(world, self.plant.standing_height_m),
             goals=goals,
             states=states,
             begun_ns=np.zeros(count, dtype=np.int64),
@@ -149,15 +153,10 @@ class DroneCore:
         """True states of the vehicles."""
         return self._episode.states
 
-    @property
-    def T_world_vehicle(self) -> Array:
-        """(n, 4, 4) Poses of the vehicles."""
-        return pose_matrix(self.states.R_world_vehicle, self.states.position_m)
-
-    @property
-    def goals_m(self) -> Array:
-        """(n, K, 3) Current goals and the following ones in the world [m]."""
-        return self._objective().position_m
+    def shown(self, row: int) -> tuple[int, Array, Array]:
+        """Return what a picture of an environment shows: seed of its world, pose of the vehicle, goals (K, 3)."""
+        T_world_vehicle = pose_matrix(self.states.R_world_vehicle[row], self.states.position_m[row])
+        return int(self._episode.randomized.world_seed[row]), T_world_vehicle, self._objective().position_m[row]
 
     def reseed(self, rng: np.random.Generator) -> None:
         """Take all random numbers from a generator from now on."""
@@ -182,17 +181,25 @@ class DroneCore:
             ConfigError: An option is unknown or has a wrong shape.
         """
         settings, last, rows = self.settings, self._episode, np.flatnonzero(mask)
+        require_known(options)
         drawn = settings.randomization.draw(self._rng, rows.size, settings.world_seed)
-        states, goals = self._begin(rows.size)
-        states, goals, drawn = overridden(
-            settings.task, settings.vehicle, states, goals, drawn, options, rows, self.count
-        )
+        drawn = overridden_parameters(drawn, options.get("randomization", {}), rows, self.count)
+        world = self._worlds.index(drawn.world_seed)
+        states, goals = self._begin(world)
+        states, goals = overridden(settings.task, settings.vehicle, states, goals, options, rows, self.count)
         randomized = with_rows(last.randomized, rows, drawn)
         winds = Winds(np.array(settings.wind.mean_m_s) + randomized.wind_m_s, settings.wind.gusts + randomized.gusts)
-        self.plant.reset(mask, with_rows(last.states, rows, states), randomized.parameters(settings.vehicle), winds)
+        self.plant.reset(
+            mask,
+            with_rows(last.states, rows, states),
+            randomized.parameters(settings.vehicle),
+            winds,
+            with_rows(self.plant.now.world, rows, world),
+        )
         self._imu.reset(mask, randomized.imu_errors)
         self._episode = EpisodeState(
             randomized=randomized,
+            bounds=with_rows(last.bounds, rows, self._worlds.bounds(world, self.plant.standing_height_m)),
             goals=with_rows(last.goals, rows, goals),
             states=self.plant.states,
             begun_ns=np.where(mask, 0, last.begun_ns),
@@ -204,9 +211,9 @@ class DroneCore:
         if settings.estimator is not None:
             self._wait_for_estimate(settings.estimator, states)
         if self._maps is not None:
-            self._maps.restart(mask, self._T_world_imu(self.states))
+            self._maps.restart(mask, self._T_world_imu(self.states), self.plant.now.world)
         if self._beams is not None:
-            self._beams.restart(mask, self.states)
+            self._beams.restart(mask, self.states, self.plant.now.world)
         loops = merged(mask, self._mode.start(self._perceived()), last.loops)
         self._episode = replace(self._episode, loops=loops)
         return {**self._state_info(), "randomization": randomized.values()}
@@ -229,7 +236,7 @@ class DroneCore:
             self._advance(commands, interval)
         after = self.plant.states
         now = self.plant.now
-        reason = failures(after, now.touched, now.diverged, unestimated, self._bounds)
+        reason = failures(after, now.touched, now.diverged, unestimated, last.bounds)
         standing_m = self.plant.standing_height_m
         sigma_m = np.zeros(self.count) if self._loop is None else self._loop.position_sigma_m
         seen_m3 = np.zeros(self.count) if self._maps is None else self._maps.advance(self._T_world_imu(after))
@@ -242,7 +249,9 @@ class DroneCore:
         goals = task.advance(last.goals, step)
         terms = _checked_terms(task, task.reward_terms(last.goals, goals, step), self.count)
         images = None if last.images is None else last.images.one_step_later()
-        self._episode = EpisodeState(last.randomized, goals, after, last.begun_ns, action, delayed, loops, images)
+        self._episode = replace(
+            last, goals=goals, states=after, action=action, delayed=delayed, loops=loops, images=images
+        )
         success = _checked_mask(task, "success", task.success(goals, step), self.count) & ~step.failed
         reason = np.where(success & task.ends_with_success, Termination.SUCCESS, reason)
         info = {
@@ -328,23 +337,15 @@ class DroneCore:
     @property
     def _standing_m(self) -> float:
         """Height of the centre of mass of a vehicle that stands on the pad, in the world [m]."""
-        return float(self.area.pad[2]) + self.plant.standing_height_m
-
-    @property
-    def _bounds(self) -> Bounds:
-        """Limits of the flight."""
-        task = self.settings.task
-        return Bounds(task.bounds_m(self.area), -np.inf if task.lands else self._standing_m + GROUND_M)
+        return self._worlds.floor_m + self.plant.standing_height_m
 
     def _T_world_imu(self, states: VehicleStates) -> Array:
         """Return the poses (n, 4, 4) of the IMUs of vehicles."""
         return pose_matrix(states.R_world_vehicle, states.position_m) @ self.settings.rig.T_vehicle_imu
 
-    def _begin(self, count: int) -> tuple[VehicleStates, Any]:
-        """Draw initial states, of which none is below that of a standing vehicle, and goals of the task."""
-        states, goals = self.settings.task.begin(self.area, self.settings.vehicle, self._rng, count)
-        height = np.maximum(states.position_m[:, 2:], self._standing_m)
-        return replace(states, position_m=np.hstack([states.position_m[:, :2], height])), goals
+    def _begin(self, world: npt.NDArray[np.intp]) -> tuple[VehicleStates, Any]:
+        """Draw initial states and goals of the task in worlds (k,)."""
+        return self._worlds.begin(self.settings.vehicle, self._rng, world, self.plant.standing_height_m)
 
     def _advance(self, commands: Array, interval: int) -> None:
         """Advance physics, IMU and estimator by one IMU interval of a step, with commands (n, 4) [rad/s]."""
@@ -417,7 +418,7 @@ class DroneCore:
         """Return the arrangement of the observations."""
         settings = self.settings
         limits = limits_of(
-            self.area,
+            self._worlds.areas,
             self._objective(),
             settings.vehicle,
             settings.samples,
@@ -438,9 +439,9 @@ class DroneCore:
         )
 
     def _unknown_maps(self) -> RayMaps:
-        """Return unknown maps of the world."""
+        """Return unknown maps."""
         c = self.settings
-        solids = world_cells(c.world, c.world_seed, c.mapping.cell_m / FINER)
+        solids = [world_cells(c.world, seed, c.mapping.cell_m / FINER) for seed in self._worlds.seeds.tolist()]
         return RayMaps(self.count, solids, c.rig.cameras[c.camera], c.mapping, c.steps_per_cast)
 
 

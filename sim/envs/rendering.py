@@ -40,36 +40,40 @@ class DronePictures:
     def __init__(self, settings: EnvironmentSettings) -> None:
         """Define world and vehicle."""
         self._settings = settings
-        self._camera: Lease[ChaseCamera] | None = None
+        self._cameras: dict[int, Lease[ChaseCamera]] = {}
         self._window: Window | None = None
 
-    def picture(self, T_world_vehicle: Array, goals_m: Array) -> Picture:
-        """Return an RGB image (480, 640, 3) of the drone at a pose T_world_vehicle (4, 4) and of its goals (K, 3) [m].
+    def picture(self, world_seed: int, T_world_vehicle: Array, goals_m: Array) -> Picture:
+        """Return an RGB image (480, 640, 3) of the drone at a pose and of its goals.
+
+        Args:
+            world_seed: Seed of the world.
+            T_world_vehicle: (4, 4) Pose of the drone.
+            goals_m: (K, 3) Goals [m].
 
         Raises:
             GraphicsError: Off-screen OpenGL is not available.
         """
-        if self._camera is None:
+        if world_seed not in self._cameras:
             chosen = self._settings
-            self._camera = lease_chase_camera(chosen.world, chosen.world_seed, chosen.vehicle, chosen.rig)
-        return self._camera.value.render(T_world_vehicle, goals_m)
+            self._cameras[world_seed] = lease_chase_camera(chosen.world, world_seed, chosen.vehicle, chosen.rig)
+        return self._cameras[world_seed].value.render(T_world_vehicle, goals_m)
 
-    def show(self, T_world_vehicle: Array, goals_m: Array) -> None:
-        """Show a picture in a window, in real time.
+    def show(self, world_seed: int, T_world_vehicle: Array, goals_m: Array) -> None:
+        """Show a picture in a window, in real time; the arguments are those of `picture`.
 
         Raises:
             GraphicsError: Off-screen OpenGL or a display is not available.
         """
-        picture = self.picture(T_world_vehicle, goals_m)
+        picture = self.picture(world_seed, T_world_vehicle, goals_m)
         if self._window is None:
             self._window = Window(picture.shape[1], picture.shape[0], "dronevio", self._settings.action_rate_hz)
         self._window.show(picture)
 
     def close(self) -> None:
-        """Release the camera and close the window; further calls have no effect."""
-        if self._camera is not None:
-            self._camera.release()
-            self._camera = None
+        """Release the cameras and close the window; further calls have no effect."""
+        while self._cameras:
+            self._cameras.popitem()[1].release()
         if self._window is not None:
             self._window.close()
             self._window = None

@@ -206,8 +206,8 @@ class EnvironmentSettings(Settings):
         """Number of actions until the time limit of the task."""
         return round(self.task.episode_s * self.action_rate_hz)
 
-    def image_source(self, texture_seed: int) -> CameraObservation:
-        """Return the renderer of the observed images, of the world with a seed of its textures."""
+    def image_source(self, world_seed: int, texture_seed: int) -> CameraObservation:
+        """Return the renderer of the observed images, of the world with a seed, and with a seed of its textures."""
         kinds: dict[int, dict[ImageKind, None]] = {}
         for image in self.images:
             kinds.setdefault(image.camera, {})[image.kind] = None
@@ -215,7 +215,7 @@ class EnvironmentSettings(Settings):
             index: RenderedObservation(
                 self.rig.cameras[index],
                 self.world,
-                self.world_seed,
+                world_seed,
                 ImageSettings(tuple(of_camera), *self.image_size),
                 texture_seed,
             )
@@ -236,7 +236,7 @@ class EnvironmentSettings(Settings):
         return CameraSetup(
             rig=replace(self.rig, cameras=cameras),
             world=self.world,
-            world_seed=self.world_seed,
+            world_seed=int(randomized.world_seed[0]),
             texture_seed=int(randomized.texture_seed[0]),
             noise_seed=noise_seed,
             # the light of a frame is irradiance × exposure time / nominal exposure time

@@ -147,7 +147,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
             GraphicsError: Off-screen OpenGL is not available.
         """
         if self.render_mode == "rgb_array":
-            return self._pictures.picture(self._core.T_world_vehicle[0], self._core.goals_m[0])
+            return self._pictures.picture(*self._core.shown(0))
         self._show()
         return None
 
@@ -191,7 +191,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
     def _show(self) -> None:
         """Show the current picture with ``render_mode="human"``."""
         if self.render_mode == "human":
-            self._pictures.show(self._core.T_world_vehicle[0], self._core.goals_m[0])
+            self._pictures.show(*self._core.shown(0))
 
     def _require_started(self) -> None:
         """Raise ConfigError before the first reset."""

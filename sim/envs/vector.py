@@ -174,8 +174,7 @@ class DroneVectorEnv(VectorEnv[Any, npt.NDArray[np.floating[Any]], Any]):
         """
         if self.render_mode is None:
             return None
-        shown = zip(self._core.T_world_vehicle, self._core.goals_m, strict=True)
-        return tuple(self._pictures.picture(T_world_vehicle, goals_m) for T_world_vehicle, goals_m in shown)
+        return tuple(self._pictures.picture(*self._core.shown(row)) for row in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release the resources of rendering; further calls have no effect."""

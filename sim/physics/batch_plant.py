@@ -1,7 +1,7 @@
 """Batch plant: the physics of many quadrotors of one type in one world, stepped together by `mujoco.batch`."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -36,8 +36,20 @@ from dronevio.sim.physics.wind import CALM, BatchAir, Winds
 _ALL = slice(None)
 
 
+@dataclass(frozen=True, eq=False)
+class PlantWorld:
+    """A world as a batch plant has it; only a floor by default."""
+
+    spec: mujoco.MjSpec | None = None
+    """Specification of the world, whose geoms of group 3 are solid; None is a floor at height 0."""
+    movers: Sequence[Moving] = ()
+    """All moving objects of the world; a vehicle that meets one has collided, but is not pushed."""
+    ground_m: float = 0.0
+    """Height of the ground of the ground effect [m]."""
+
+
 class BatchPlant:
-    """n quadrotors with rotor speed commands and noise-free IMUs.
+    """n quadrotors with rotor speed commands and noise-free IMUs, each in one of several worlds.
 
     Clock, wrench, latency and IMU samples are those of `QuadrotorPlant`: time advances in IMU intervals, the wrench of
     the rotors is constant over the steps of an interval, and the physics are one interval ahead of the clock. Results
@@ -53,9 +65,7 @@ class BatchPlant:
         rig: Rig,
         quadrotor: Quadrotor | None = None,
         *,
-        surroundings: mujoco.MjSpec | None = None,
-        movers: Sequence[Moving] = (),
-        ground_m: float = 0.0,
+        worlds: Sequence[PlantWorld] = (PlantWorld(),),
         imu: bool = True,
         rng: np.random.Generator | None = None,
         nthread: int = 0,
@@ -66,9 +76,7 @@ class BatchPlant:
             count: Number of vehicles.
             rig: Mounting and rate of the IMU.
             quadrotor: The vehicle type; the research quadrotor of 1.5 kg by default.
-            surroundings: Specification of a world, whose geoms of group 3 are solid; only a floor by default.
-            movers: All moving objects of the world; a vehicle that meets one has collided, but is not pushed.
-            ground_m: Height of the ground of the ground effect [m].
+            worlds: The worlds; all vehicles begin in the first one.
             imu: Whether IMU samples are computed.
             rng: Generator of the gusts; a fixed seed by default.
             nthread: Number of threads; 0 means one for each processor.
@@ -83,14 +91,19 @@ class BatchPlant:
         self.interval_ns = imu_interval_ns(rig)
         substeps = physics_steps(self.interval_s)
         step_s = self.interval_s / substeps
-        self._ground_m = ground_m
-        spec = physics_spec(self.quadrotor, rig, step_s, surroundings)
-        self._simulation = BatchSimulation(spec, count, substeps, nthread)
+        self._ground_m = np.array([world.ground_m for world in worlds])
+        planes, solids = (
+            [physics_spec(self.quadrotor, rig, step_s, world.spec, planes_only) for world in worlds]
+            for planes_only in (True, False)
+        )
+        self._simulation = BatchSimulation(planes, solids, count, substeps, nthread)
         self._imu = imu
-        self._movers: BatchMoverContacts | None = None
-        if surroundings is not None and movers:
-            meeting = meeting_spec(self.quadrotor, rig, surroundings)
-            self._movers = BatchMoverContacts(meeting, movers, self.interval_s, count, nthread)
+        self._movers: dict[int, BatchMoverContacts] = {}
+        for number, world in enumerate(worlds):
+            if world.spec is not None and world.movers:
+                meeting = meeting_spec(self.quadrotor, rig, world.spec)
+                contacts = BatchMoverContacts(meeting, world.movers, self.interval_s, count, nthread)
+                self._movers[number] = contacts
         self.standing_height_m = float(standing_pose(self.quadrotor, rig, step_s)[2])
         """Height of the centre of mass above the floor when a drone of the type stands on its feet [m]."""
         self._air = BatchAir(Winds.of(CALM, count), rng or np.random.default_rng(0))
@@ -100,6 +113,7 @@ class BatchPlant:
             parameters=parameters,
             rotors=self._rotors.steady_state(np.zeros((count, 4))),
             elapsed=np.zeros(count, dtype=np.int64),
+            world=np.zeros(count, dtype=np.intp),
             touched=nothing,
             diverged=nothing,
             motion=np.zeros((13, count)),
@@ -169,6 +183,7 @@ class BatchPlant:
         states: VehicleStates,
         parameters: VehicleParameters | None = None,
         winds: Winds | None = None,
+        world: npt.NDArray[np.intp] | None = None,
     ) -> None:
         """Reset clock, gusts and states of the vehicles in a mask; other vehicles are not changed.
 
@@ -177,6 +192,7 @@ class BatchPlant:
             states: States of n vehicles, of which only the rows of the mask are used.
             parameters: New parameters of n vehicles, of which only the rows of the mask are used; unchanged by default.
             winds: New winds at n vehicles, of which only the rows of the mask are used; unchanged by default.
+            world: (n,) Indices of new worlds, of which only the rows of the mask are used; unchanged by default.
 
         Raises:
             ConfigError: A state is not finite, or faster than `FASTEST`.
@@ -190,17 +206,17 @@ class BatchPlant:
         self._air.renew(rows, self.winds if winds is None else with_rows(self.winds, rows, winds.rows(rows)))
         model, nothing = Rotors(self.quadrotor, own), np.zeros(rows.size, dtype=bool)
         rotors = model.steady_state(states.rotor_speed_rad_s, states.battery_charge)
-        motion = motion_of(states)
-        wrench = model.wrench(rotors, self._airflow(motion, rows))
+        motion, place = motion_of(states), (self.now.world if world is None else world)[rows]
+        wrench = model.wrench(rotors, self._airflow(motion, rows, place))
         elapsed = np.zeros(rows.size, dtype=np.int64)
-        flown = self._run(rows, motion, wrench, own, nothing, nothing, elapsed)
+        flown = self._run(rows, motion, wrench, own, place, nothing, nothing, elapsed)
         between, samples = np.zeros((3, rows.size)), self.now.samples.rows(rows)
         if self._imu:
             before = extrapolated_back(flown.start, flown.middle)  # to before t = 0
             between = velocities_of(self.rig.T_vehicle_imu[:3, 3], before)
             between, samples = self._sample(flown.start, between, flown.middle)
         placed = PlantState(
-            own, rotors, elapsed, flown.touched, flown.diverged, flown.start, flown.end, between, samples
+            own, rotors, elapsed, place, flown.touched, flown.diverged, flown.start, flown.end, between, samples
         )
         self.now = self.now.with_vehicles(rows, placed)
         if parameters is not None:
@@ -214,8 +230,8 @@ class BatchPlant:
             rows = np.asarray(finite.all(axis=1))
             diverged, commands = diverged | ~rows, np.where(rows[:, None], commands, 0.0)
         rotors = self._rotors.step(now.rotors, commands, self.interval_s)
-        wrench = self._rotors.wrench(rotors, self._airflow(now.ahead, _ALL))
-        flown = self._run(_ALL, now.ahead, wrench, now.parameters, now.touched, diverged, now.elapsed + 1)
+        wrench = self._rotors.wrench(rotors, self._airflow(now.ahead, _ALL, now.world))
+        flown = self._run(_ALL, now.ahead, wrench, now.parameters, now.world, now.touched, diverged, now.elapsed + 1)
         between, samples = now.velocity_between, now.samples
         if self._imu:
             between, samples = self._sample(flown.start, between, flown.middle)
@@ -223,6 +239,7 @@ class BatchPlant:
             now.parameters,
             rotors,
             now.elapsed + 1,
+            now.world,
             flown.touched,
             flown.diverged,
             flown.start,
@@ -238,6 +255,7 @@ class BatchPlant:
         motion: Array,
         wrench: Array,
         vehicles: VehicleParameters,
+        world: npt.NDArray[np.intp],
         touched: Mask,
         diverged: Mask,
         number: npt.NDArray[np.int64],
@@ -246,18 +264,21 @@ class BatchPlant:
 
         The other arguments are those of `BatchSimulation.run`.
         """
-        flown = self._simulation.run(motion, wrench, vehicles, touched, diverged)
-        if self._movers is None:
-            return flown
-        met = self._movers.detect(np.arange(self.count)[rows], number + 1, flown.end[:7].T)
-        return replace(flown, touched=flown.touched | met)
+        flown = self._simulation.run(motion, wrench, vehicles, world, touched, diverged)
+        for index, movers in self._movers.items():
+            some = np.flatnonzero(world == index)
+            if some.size:
+                flown.touched[some] |= movers.detect(
+                    np.arange(self.count)[rows][some], number[some] + 1, flown.end[:7, some].T
+                )
+        return flown
 
-    def _airflow(self, motion: Array, rows: Rows) -> Airflow:
-        """Return the airflow at k vehicles, and advance the gusts by the distance of an interval."""
+    def _airflow(self, motion: Array, rows: Rows, world: npt.NDArray[np.intp]) -> Airflow:
+        """Return the airflow at k vehicles in their worlds (k,), and advance the gusts by the way of an interval."""
         R = rotations(motion[QUATERNION])
         through_air = motion[VELOCITY] - self._air.velocity_m_s(rows).T
         self._air.move_through(np.sqrt((through_air * through_air).sum(axis=0)) * self.interval_s, rows)
-        return Airflow(rotated_back(R, through_air).T, motion[RATE].T, R[2].T, motion[2] - self._ground_m)
+        return Airflow(rotated_back(R, through_air).T, motion[RATE].T, R[2].T, motion[2] - self._ground_m[world])
 
     def _sample(self, motion: Array, before: Array, middle: Array) -> tuple[Array, PointSamples]:
         """Return the samples of k IMUs, after their velocities (3, k) half an interval later.

@@ -1,14 +1,15 @@
-"""Simulation of many vehicles of one type in one world: free flight, and contacts where there may be some."""
+"""Simulation of many vehicles of one type, each in one of some worlds: free flight, and contacts where need be."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from dronevio.models.arrays import Array, Mask
-from dronevio.sim.physics.clearance_grid import ClearanceGrid
+from dronevio.sim.physics.clearance_grid import ClearanceGrid, ClearanceGrids, Indices
 from dronevio.sim.physics.contact_simulation import ContactSimulation
-from dronevio.sim.physics.free_flight import FreeFlight
+from dronevio.sim.physics.free_flight import FreeFlight, Stepped
 from dronevio.sim.physics.vehicle_states import VehicleParameters
 
 
@@ -35,50 +36,68 @@ class BatchSimulation:
     as the floor on which they stand, are simulated by MuJoCo in a world of planes, the others among all solids.
     """
 
-    def __init__(self, spec: mujoco.MjSpec, count: int, substeps: int, nthread: int) -> None:
+    def __init__(
+        self,
+        planes: Sequence[mujoco.MjSpec],
+        solids: Sequence[mujoco.MjSpec],
+        count: int,
+        substeps: int,
+        nthread: int,
+    ) -> None:
         """Compile the models.
 
         Args:
-            spec: Specification of the physics; it is not changed.
+            planes: Specifications of the physics among the planes of each world, which get sensors of contacts.
+            solids: Specifications of the physics among all solids of each world, which get sensors of contacts.
             count: Largest number of vehicles.
             substeps: Number of MuJoCo's time steps of an IMU interval.
             nthread: Number of threads; 0 means one for each processor.
         """
-        planes, full = spec.copy(), spec.copy()
-        for geom in planes.worldbody.geoms:
-            if geom.type != mujoco.mjtGeom.mjGEOM_PLANE:
-                planes.delete(geom)
-        planes.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-        self._low = ContactSimulation(planes, count, substeps, nthread)
-        self._near = ContactSimulation(full, count, substeps, nthread)
-        interval_s = substeps * spec.option.timestep
+        interval_s = substeps * solids[0].option.timestep
         self._free = FreeFlight(interval_s)
-        self._grid = ClearanceGrid(self._near.model, interval_s)
-        self._solids = ClearanceGrid(self._near.model, interval_s, with_planes=False)
+        self._low = [ContactSimulation(spec, count, substeps, nthread) for spec in planes]
+        self._near = [ContactSimulation(spec, count, substeps, nthread) for spec in solids]
+        models = [simulation.model for simulation in self._near]
+        self._all = ClearanceGrids([ClearanceGrid(model, interval_s) for model in models])
+        self._solids = ClearanceGrids([ClearanceGrid(model, interval_s, with_planes=False) for model in models])
 
-    def run(self, start: Array, wrench: Array, vehicles: VehicleParameters, touched: Mask, diverged: Mask) -> Interval:
+    def run(
+        self,
+        start: Array,
+        wrench: Array,
+        vehicles: VehicleParameters,
+        world: Indices,
+        touched: Mask,
+        diverged: Mask,
+    ) -> Interval:
         """Run k vehicles for an interval. A diverging vehicle is held at its pose at the start.
 
         Args:
             start: (13, k) Their motion at the start.
             wrench: (k, 6) Constant forces [N] and torques [N m].
             vehicles: Masses and moments of inertia of the k vehicles.
+            world: (k,) Indices of their worlds.
             touched: (k,) Which vehicles have collided before.
             diverged: (k,) Which vehicles have diverged before.
         """
-        free = self._grid.clear(start[:3], start[7:10])
-        near = ~free
-        near[near] = ~self._solids.clear(start[:3, near], start[7:10, near])
         middle, end = np.empty_like(start), np.empty_like(start)
         touched, failed = touched.copy(), diverged.copy()
-        for simulation, some in ((self._free, free), (self._low, ~free & ~near), (self._near, near)):
-            if not some.any():
-                continue
+
+        def run(simulation: FreeFlight | ContactSimulation, some: Mask) -> None:
             rows = slice(None) if some.all() else np.flatnonzero(some)
-            stepped = simulation.run(start[:, rows], wrench[rows], vehicles.rows(rows))
+            stepped: Stepped = simulation.run(start[:, rows], wrench[rows], vehicles.rows(rows))
             middle[:, rows], end[:, rows] = stepped.middle, stepped.end
             touched[rows] |= stepped.collided
             failed[rows] |= stepped.diverged
+
+        free = self._all.clear(start[:3], start[7:10], world)
+        if free.any():
+            run(self._free, free)
+        near = ~free
+        near[near] = ~self._solids.clear(start[:3, near], start[7:10, near], world[near])
+        for simulations, some in ((self._low, ~free & ~near), (self._near, near)):
+            for number in np.unique(world[some]).tolist():
+                run(simulations[number], some & (world == number))
         if failed.any():
             start = start.copy()
             start[7:, failed] = 0.0

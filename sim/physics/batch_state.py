@@ -31,6 +31,8 @@ class PlantState:
     """States of rotors and batteries."""
     elapsed: npt.NDArray[np.int64]
     """(n,) IMU intervals since the resets."""
+    world: npt.NDArray[np.intp]
+    """(n,) Indices of the worlds of the vehicles."""
     touched: Mask
     """(n,) Which vehicles have collided."""
     diverged: Mask
@@ -50,6 +52,7 @@ class PlantState:
             parameters=with_rows(self.parameters, rows, part.parameters),
             rotors=with_rows(self.rotors, rows, part.rotors),
             elapsed=with_rows(self.elapsed, rows, part.elapsed),
+            world=with_rows(self.world, rows, part.world),
             touched=with_rows(self.touched, rows, part.touched),
             diverged=with_rows(self.diverged, rows, part.diverged),
             motion=_with_columns(self.motion, rows, part.motion),

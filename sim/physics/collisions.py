@@ -56,11 +56,11 @@ def add_floor(spec: mujoco.MjSpec) -> None:
     spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], group=COLLISION_GROUP)
 
 
-def add_static_geoms(spec: mujoco.MjSpec, surroundings: mujoco.MjSpec) -> None:
+def add_static_geoms(spec: mujoco.MjSpec, surroundings: mujoco.MjSpec, planes_only: bool = False) -> None:
     """Add the collision geoms (group 3) of a world, without visible geometry and without its moving objects."""
     for body in surroundings.bodies:
         if not body.mocap:
-            _add_collision_geoms(spec.worldbody, body)
+            _add_collision_geoms(spec.worldbody, body, planes_only)
 
 
 def add_movers(spec: mujoco.MjSpec, surroundings: mujoco.MjSpec) -> None:
@@ -71,10 +71,10 @@ def add_movers(spec: mujoco.MjSpec, surroundings: mujoco.MjSpec) -> None:
             _add_collision_geoms(copy, body)
 
 
-def _add_collision_geoms(to: mujoco.MjsBody, body: mujoco.MjsBody) -> None:
+def _add_collision_geoms(to: mujoco.MjsBody, body: mujoco.MjsBody, planes_only: bool = False) -> None:
     """Add the collision geoms of a body to another."""
     for geom in body.geoms:
-        if geom.group == COLLISION_GROUP:
+        if geom.group == COLLISION_GROUP and (geom.type == mujoco.mjtGeom.mjGEOM_PLANE or not planes_only):
             copy = to.add_geom(**{name: getattr(geom, name) for name in _COPIED})
             for name in _COPIED_TURN:
                 setattr(copy.alt, name, getattr(geom.alt, name))

@@ -60,7 +60,7 @@ class FreeFlight:
 
 def diverging(motion: Array) -> Mask:
     """Return which vehicles (k,) have a motion (13, k) that is not finite, or faster than any quadrotor."""
-    return ~(np.abs(motion) < FASTEST).all(axis=0)  # true for NaN
+    return np.asarray(~(np.abs(motion) < FASTEST).all(axis=0))  # true for NaN
 
 
 def free_flight(motion: Array, wrench: Array, vehicles: VehicleParameters, duration_s: float) -> Array:

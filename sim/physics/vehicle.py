@@ -60,14 +60,19 @@ def physics_model(
 
 
 def physics_spec(
-    quadrotor: Quadrotor, rig: Rig, step_s: float, surroundings: mujoco.MjSpec | None = None
+    quadrotor: Quadrotor,
+    rig: Rig,
+    step_s: float,
+    surroundings: mujoco.MjSpec | None = None,
+    planes_only: bool = False,
 ) -> mujoco.MjSpec:
-    """Return the specification of `physics_model`."""
+    """Return the specification of `physics_model`, with the planes of a world alone if they are wanted."""
     spec = _solid_quadrotor(quadrotor, rig)
     if surroundings is None:
         add_floor(spec)
     else:
-        add_static_geoms(spec, surroundings)
+        add_static_geoms(spec, surroundings, planes_only)
+    if surroundings is not None and not planes_only:
         spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP  # spares the kinematics of all static geoms
         spec.body("quadrotor").sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
     spec.option.timestep = step_s

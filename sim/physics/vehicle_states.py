@@ -1,5 +1,6 @@
 """True states and physical parameters of many vehicles of one type, as arrays with one row a vehicle."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Self, TypeVar
 
@@ -14,6 +15,7 @@ Rows = slice | npt.NDArray[np.intp]
 """Selection of rows: all of them as ``slice(None)``, or an array of indices."""
 
 Batch = TypeVar("Batch")
+Rowed = TypeVar("Rowed", bound="Table")
 
 
 class Table:
@@ -25,6 +27,14 @@ class Table:
     def rows(self, rows: Rows) -> Self:
         """Return the selected rows."""
         return type(self)(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})  # type: ignore[arg-type]
+
+
+def joined(tables: Sequence[Rowed]) -> Rowed:
+    """Return tables of one type as one, whose rows are those of the first, then those of the second, and so on."""
+    if len(tables) == 1:
+        return tables[0]
+    names = [field.name for field in fields(tables[0])]  # type: ignore[arg-type]
+    return type(tables[0])(**{name: np.concatenate([getattr(table, name) for table in tables]) for name in names})
 
 
 def with_rows(table: Batch, rows: npt.NDArray[np.intp], part: Batch) -> Batch:

@@ -197,9 +197,15 @@ def _environment(count: int, imu: bool, rate_hz: float = ACTIONS_PER_S) -> Calla
     mass = Uniform(0.8, 1.2)
     random = Randomization(mass=mass, inertia=mass, gusts=Constant(_WIND.gusts), wind_m_s=Constant(_WIND.speed_m_s))
     observations = (*_STATE, "imu") if imu else _STATE
-    rates = {"action_rate_hz": rate_hz, "imu_rate_hz": max(rate_hz, euroc_rig().imu.rate_hz)}
     envs = DroneVectorEnv(
-        count, "hover", flat=True, action="rotors", observations=observations, randomization=random, **rates
+        count,
+        "hover",
+        flat=True,
+        action="rotors",
+        observations=observations,
+        randomization=random,
+        action_rate_hz=rate_hz,
+        imu_rate_hz=max(rate_hz, euroc_rig().imu.rate_hz),
     )
     envs.reset(seed=0)
     actions = np.zeros((count, 4), dtype=np.float32)

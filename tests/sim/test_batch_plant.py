@@ -11,7 +11,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import VEHICLES, Quadrotor
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.sim.physics.batch_plant import BatchPlant
+from dronevio.sim.physics.batch_plant import BatchPlant, PlantWorld
 from dronevio.sim.physics.collisions import COLLISION_GROUP, add_floor
 from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.physics.vehicle_states import VehicleParameters, VehicleStates
@@ -136,7 +136,7 @@ def test_obstacles_of_a_world_are_touched() -> None:
     world.worldbody.add_geom(
         name="wall", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 5.0, 5.0], pos=[1.0, 0.0, 0.0], group=COLLISION_GROUP
     )
-    plant = BatchPlant(3, RIG, surroundings=world)
+    plant = BatchPlant(3, RIG, worlds=[PlantWorld(world)])
     speeds = plant.quadrotor.hover_speed_rad_s
     velocity = np.array([[3.0, 0.0, 0.0], [-3.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     plant.reset(EVERY, VehicleStates.at(np.tile([0.0, 0.0, 2.0], (3, 1)), None, velocity, 0.0, speeds))

@@ -10,8 +10,8 @@ from dronevio.models.arrays import Array, Mask
 from dronevio.models.quadrotor import RESEARCH
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.sim.physics.batch_plant import BatchPlant
-from dronevio.sim.physics.clearance_grid import ClearanceGrid, reach_m
+from dronevio.sim.physics.batch_plant import BatchPlant, PlantWorld
+from dronevio.sim.physics.clearance_grid import ClearanceGrid, ClearanceGrids, reach_m
 from dronevio.sim.physics.collisions import COLLISION_GROUP
 from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.physics.vehicle import physics_model
@@ -22,6 +22,11 @@ RIG, INTERVAL_S = euroc_rig(), 0.005
 SLACK_M = 0.05
 
 
+def clear(grid: ClearanceGrid, points: Array, velocity: Array) -> Mask:
+    """Return what is clear in one world."""
+    return ClearanceGrids([grid]).clear(points, velocity, np.zeros(points.shape[1], dtype=np.intp))
+
+
 @pytest.mark.parametrize("world", ["room", "gates"])
 def test_what_is_clear_of_a_world_is_farther_than_the_reach_of_the_vehicle(world: str) -> None:
     model, solids = physics_model(RESEARCH, RIG, 1e-3, collision_spec(world, 1)), solid_space(world, 1)
@@ -29,11 +34,11 @@ def test_what_is_clear_of_a_world_is_farther_than_the_reach_of_the_vehicle(world
         solids = replace(solids, low=np.array([-np.inf, -np.inf, 0.0]), high=np.full(3, np.inf))
     grid, reach = ClearanceGrid(model, INTERVAL_S), reach_m(model)
     points = np.random.default_rng(0).uniform([-5.0, -4.0, -0.5], [5.0, 4.0, 4.0], (2000, 3))
-    clearance, clear = solids.clearance(points), grid.clear(points.T, np.zeros((3, len(points))))
-    assert clearance[clear].min() > reach + SLACK_M - 1e-6
-    assert clear[clearance > reach + SLACK_M + 0.2 * np.sqrt(3.0)].all()  # the middle of a cell is that much nearer
-    assert 0.2 < clear.mean() < 0.8
-    assert [grid.clears(point, np.zeros(3)) for point in points[:300]] == clear[:300].tolist()
+    clearance, free = solids.clearance(points), clear(grid, points.T, np.zeros((3, len(points))))
+    assert clearance[free].min() > reach + SLACK_M - 1e-6
+    assert free[clearance > reach + SLACK_M + 0.2 * np.sqrt(3.0)].all()  # the middle of a cell is that much nearer
+    assert 0.2 < free.mean() < 0.8
+    assert [grid.clears(point, np.zeros(3)) for point in points[:300]] == free[:300].tolist()
 
 
 def test_a_vehicle_in_contact_is_never_clear() -> None:
@@ -70,26 +75,42 @@ def test_fast_vehicles_are_clear_only_far_from_a_wall() -> None:
     ahead_m = np.linspace(0.0, 1.5, 76)
     points = np.stack([2.0 - reach - ahead_m, 0.3 * np.ones(76), np.ones(76)])
     for speed_m_s in (0.0, 10.0, 40.0):
-        clear = grid.clear(points, np.tile([[speed_m_s], [0.0], [0.0]], 76))
-        assert not clear[ahead_m < SLACK_M + speed_m_s * INTERVAL_S].any()
-        assert clear[ahead_m > 0.4 + 2.0 * speed_m_s * INTERVAL_S].all()
-        assert [grid.clears(point, np.array([speed_m_s, 0.0, 0.0])) for point in points.T] == clear.tolist()
+        free = clear(grid, points, np.tile([[speed_m_s], [0.0], [0.0]], 76))
+        assert not free[ahead_m < SLACK_M + speed_m_s * INTERVAL_S].any()
+        assert free[ahead_m > 0.4 + 2.0 * speed_m_s * INTERVAL_S].all()
+        assert [grid.clears(point, np.array([speed_m_s, 0.0, 0.0])) for point in points.T] == free.tolist()
 
 
 def test_only_planes_and_far_away_places_are_clear_without_a_cell() -> None:
     standing = physics_model(RESEARCH, RIG, 1e-3)
     for model in (standing, physics_model(RESEARCH, RIG, 1e-3, wall(np.eye(3)))):
         heights = np.array([[-50.0] * 3, [-50.0] * 3, [0.3, 0.5, 50.0]])
-        assert ClearanceGrid(model, INTERVAL_S).clear(heights, np.zeros((3, 3))).tolist() == [False, True, True]
+        assert clear(ClearanceGrid(model, INTERVAL_S), heights, np.zeros((3, 3))).tolist() == [False, True, True]
         solids = ClearanceGrid(model, INTERVAL_S, with_planes=False)
-        assert solids.clear(heights, np.zeros((3, 3))).all()
-    assert not ClearanceGrid(standing, INTERVAL_S).clear(np.full((3, 1), np.nan), np.zeros((3, 1))).any()
+        assert clear(solids, heights, np.zeros((3, 3))).all()
+    assert not clear(ClearanceGrid(standing, INTERVAL_S), np.full((3, 1), np.nan), np.zeros((3, 1))).any()
+
+
+def test_grids_of_several_worlds_are_those_of_each() -> None:
+    models = [physics_model(RESEARCH, RIG, 1e-3, collision_spec("room", seed)) for seed in (1, 2)]
+    models.insert(1, physics_model(RESEARCH, RIG, 1e-3))
+    points, velocity = (
+        np.random.default_rng(0).uniform([-5.0, -4.0, -0.5], [5.0, 4.0, 4.0], (600, 3)).T,
+        np.ones((3, 600)),
+    )
+    world = np.random.default_rng(1).integers(0, 3, 600)
+    together = ClearanceGrids([ClearanceGrid(model, INTERVAL_S) for model in models]).clear(points, velocity, world)
+    for number, model in enumerate(models):
+        rows = world == number
+        alone = clear(ClearanceGrid(model, INTERVAL_S), points[:, rows], velocity[:, rows])
+        np.testing.assert_array_equal(together[rows], alone)
+    assert 0.2 < together.mean() < 0.9
 
 
 def test_contacts_that_are_left_out_do_not_change_the_motion(monkeypatch: pytest.MonkeyPatch) -> None:
     def flown() -> tuple[Array, Array, Mask]:
         world = collision_spec("room", 1)
-        one, many = QuadrotorPlant(RIG, surroundings=world), BatchPlant(6, RIG, surroundings=world, nthread=1)
+        one, many = QuadrotorPlant(RIG, surroundings=world), BatchPlant(6, RIG, worlds=[PlantWorld(world)], nthread=1)
         speeds = np.full(4, one.quadrotor.hover_speed_rad_s)
         velocity = np.random.default_rng(0).uniform(-8.0, 8.0, (6, 3))
         start = np.array([0.0, 0.0, 1.6])
@@ -103,7 +124,7 @@ def test_contacts_that_are_left_out_do_not_change_the_motion(monkeypatch: pytest
 
     left_out = flown()
     monkeypatch.setattr(ClearanceGrid, "clears", lambda *_: False)
-    monkeypatch.setattr(ClearanceGrid, "clear", lambda _, position, __: np.zeros(position.shape[1], dtype=bool))
+    monkeypatch.setattr(ClearanceGrids, "clear", lambda _, position, *__: np.zeros(position.shape[1], dtype=bool))
     (pose, motion, touched), (pose_without, motion_without, touched_without) = flown(), left_out
     np.testing.assert_array_equal(pose, pose_without)
     np.testing.assert_array_equal(touched, touched_without)
@@ -113,7 +134,7 @@ def test_contacts_that_are_left_out_do_not_change_the_motion(monkeypatch: pytest
 
 
 def test_vehicles_near_a_wall_have_their_own_masses_and_diverge_once() -> None:
-    plant = BatchPlant(4, RIG, surroundings=wall(np.eye(3)), nthread=1)
+    plant = BatchPlant(4, RIG, worlds=[PlantWorld(wall(np.eye(3)))], nthread=1)
     parameters = VehicleParameters.of(RESEARCH, 4)
     parameters = replace(parameters, mass_kg=parameters.mass_kg * [1.0, 1.3, 1.0, 1.3])
     places = np.array([[1.6, 0.0, 2.0], [1.6, 0.0, 2.0], [-20.0, 0.0, 2.0], [-20.0, 0.0, 2.0]])

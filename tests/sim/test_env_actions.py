@@ -14,6 +14,7 @@ from dronevio.sim.envs.episodes.latency import DelayedActions
 from dronevio.sim.envs.episodes.randomization import MODERATE, Randomization
 from dronevio.sim.envs.settings import settings_of
 from dronevio.sim.envs.tasks import Race
+from dronevio.sim.world import flight_area
 
 STATE = ("position", "velocity", "rate", "rotors")
 
@@ -148,7 +149,7 @@ def test_observations_are_those_of_the_state() -> None:
 def test_gates_are_observed_by_their_corners() -> None:
     core = DroneCore(1, settings_of(Race(on_course=0.0), observations=("gates",)))
     core.reseed(np.random.default_rng(0))
-    gate = core.area.gates[0]
+    gate = flight_area(core.settings.world, core.settings.world_seed).gates[0]
     start = {"position_m": gate.middle - 3.0 * gate.ahead, "quat_wxyz": np.array([1.0, 0.0, 0.0, 0.0])}
     core.reset(np.ones(1, np.bool_), start)
     corners = core.observe()["gates"][0, 0]

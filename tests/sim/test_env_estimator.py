@@ -384,16 +384,16 @@ def test_landings_have_to_be_soft_and_on_the_pad(x: float, velocity: float, land
     _, goals = task.begin(AREA, None, None, 1)  # type: ignore[arg-type]
     end_s = task.descent_from_s
     down = hovered(0.0, velocity, end_s + 1.0, x, before=0.05)
-    goals = task.advance(AREA, goals, down)
-    assert goals.impact_m_s[0] == -velocity and not task.success(AREA, goals, down)[0]
+    goals = task.advance(goals, down)
+    assert goals.impact_m_s[0] == -velocity and not task.success(goals, down)[0]
     for t_s in (end_s + 1.02, end_s + 1.5):
         resting = hovered(0.0, 0.0, t_s, x)
-        goals = task.advance(AREA, goals, resting)
-        assert not task.success(AREA, goals, resting)[0]
+        goals = task.advance(goals, resting)
+        assert not task.success(goals, resting)[0]
     last = hovered(0.0, 0.0, end_s + 1.53, x)
-    after = task.advance(AREA, goals, last)
-    assert task.success(AREA, after, last)[0] == landed and task.ends_with_success
-    terms = task.reward_terms(AREA, goals, after, last)
+    after = task.advance(goals, last)
+    assert task.success(after, last)[0] == landed and task.ends_with_success
+    terms = task.reward_terms(goals, after, last)
     assert terms["landed"][0] == 100.0 * landed and terms["uncertainty"][0] == pytest.approx(-0.6)
 
 
@@ -409,11 +409,11 @@ def test_the_worst_touchdown_of_an_episode_counts(hop_m: float, worst_m_s: float
         (0.0, -0.235, 0.05, t_s[2]),
         (0.0, 0.0, 0.0, t_s[3]),
     ):
-        goals = task.advance(AREA, goals, hovered(height, velocity, t, before=before))
+        goals = task.advance(goals, hovered(height, velocity, t, before=before))
     last = hovered(0.0, 0.0, t_s[3] + 1.0)
-    goals = task.advance(AREA, goals, last)
+    goals = task.advance(goals, last)
     assert goals.impact_m_s[0] == worst_m_s
-    assert not task.success(AREA, goals, last)[0]
+    assert not task.success(goals, last)[0]
 
 
 @pytest.mark.parametrize(("descent_m_s", "softly"), [(0.4, True), (2.0, False)])
@@ -422,14 +422,14 @@ def test_single_and_vector_environments_keep_the_worst_touchdown(descent_m_s: fl
     settings: dict[str, Any] = {"task": VioHover(hover_s=0.0, height_m=0.1), "action": "velocity"}
     single, vector = DroneEnv(**settings), DroneVectorEnv(2, **settings)
     core = single._core
-    place = core.area.pad + [0.0, 0.0, core.plant.standing_height_m + 0.8]
+    place = flight_area(single.settings.world, 0).pad + [0.0, 0.0, core.plant.standing_height_m + 0.8]
     turning = np.full(4, single.settings.vehicle.hover_speed_rad_s)
     options = {"position_m": place, "rotor_speed_rad_s": turning}
     single.reset(seed=0, options=options)
     vector.reset(seed=0, options=options)
     velocity, ended = -descent_m_s, False
     for _ in range(200):
-        height = core.states.position_m[0, 2] - core.area.pad[2] - core.plant.standing_height_m
+        height = core.states.position_m[0, 2] - core.plant.standing_height_m
         if velocity == -descent_m_s and height < 0.005:
             velocity = 0.6  # to the hop
         elif velocity == 0.6 and height > 0.08:
@@ -452,15 +452,15 @@ def test_standing_before_the_flight_is_no_landing() -> None:
     _, goals = task.begin(AREA, None, None, 1)  # type: ignore[arg-type]
     for t_s in (0.02, 5.0):
         standing = hovered(0.0, 0.0, t_s)
-        goals = task.advance(AREA, goals, standing)
-        assert not task.success(AREA, goals, standing)[0]
+        goals = task.advance(goals, standing)
+        assert not task.success(goals, standing)[0]
 
 
 def test_the_goal_of_vio_hover_rises_stays_and_descends() -> None:
     task = VioHover(height_m=1.0, climb_m_s=0.5, hover_s=10.0, descent_m_s=0.2)
     _, goals = task.begin(AREA, None, None, 6)  # type: ignore[arg-type]
     times = np.array([0.0, 1.0, 2.0, 12.0, 14.0, 40.0])
-    heights = task.objective(AREA, goals, times).position_m[:, 0, 2] - AREA.pad[2]
+    heights = task.objective(goals, times).position_m[:, 0, 2] - AREA.pad[2]
     np.testing.assert_allclose(heights, [0.0, 0.5, 1.0, 1.0, 0.6, -1.0])
 
 
@@ -472,7 +472,7 @@ def test_vio_navigate_starts_on_the_pad_towards_its_goal() -> None:
     np.testing.assert_allclose(env._core.states.position_m[0, :2], flight_area("room", 0).pad[:2], atol=1e-9)
     task = VioNavigate()
     _, goals = task.begin(AREA, None, np.random.default_rng(0), 1)  # type: ignore[arg-type]
-    assert task.reward_terms(AREA, goals, goals, hovered(1.0, 0.0, 1.0))["uncertainty"][0] == pytest.approx(-0.006)
+    assert task.reward_terms(goals, goals, hovered(1.0, 0.0, 1.0))["uncertainty"][0] == pytest.approx(-0.006)
 
 
 # --- the policy

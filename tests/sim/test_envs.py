@@ -28,6 +28,7 @@ from dronevio.sim.envs.single import DroneEnv
 from dronevio.sim.envs.tasks import TASKS, Hover
 from dronevio.sim.pictures.chase_camera import CHASE_CAMERAS
 from dronevio.sim.rendering.loaded_world import LOADED_WORLDS
+from dronevio.sim.world import flight_area
 
 STATE = ("position", "rotation", "velocity", "rate")
 ON_THE_TRUTH = [name for name in TASKS if not name.startswith("vio-")]
@@ -306,7 +307,7 @@ def test_failures_end_the_episode_with_a_reason(action: Any, options: Any, reaso
 
 def test_obstacles_end_the_episode() -> None:
     env = DroneEnv("race", observations=STATE)
-    gate = env._core.area.gates[0]
+    gate = flight_area("gates", env.settings.world_seed).gates[0]
     side = np.array([-gate.ahead[1], gate.ahead[0], 0.0])
     bar = gate.middle + (0.5 * gate.opening_m + 0.1) * side
     env.reset(seed=0, options={**REST, "position_m": bar - gate.ahead, "velocity_m_s": 4.0 * gate.ahead})

@@ -45,8 +45,8 @@ class Shown:
         self.renderer = ImageRenderer(period, self.source, 0)
         self.images = self.renderer.start(3)
 
-    def source(self, seed: int) -> CountingSource:
-        self.sources.append(CountingSource(seed))
+    def source(self, world_seed: int, texture_seed: int) -> CountingSource:
+        self.sources.append(CountingSource(texture_seed))
         return self.sources[-1]
 
     def seen(self, randomized: RandomizedParameters) -> list[int]:

@@ -49,11 +49,14 @@ def at(*position: float, yaw_rad: float = 0.0) -> Array:
     return pose_matrix(rotation_z(np.array([yaw_rad])), np.array([position]))
 
 
+FIRST = np.zeros(2, dtype=np.intp)  # all environments are in the first world
+
+
 def wall_maps(settings: MapSettings, count: int = 1, period: int = 1) -> RayMaps:
     """Return maps in a box with a wall, by the lens of EuRoC's camera, or by its axis if there is one ray."""
     (camera,) = euroc_rig().cameras
     model = CameraModel(1, 1, 1.0, 1.0, 0.0, 0.0) if settings.rays == (1, 1) else camera.model
-    return RayMaps(count, solid_cells(WALL, settings.cell_m / FINER), forward_camera(model), settings, period)
+    return RayMaps(count, [solid_cells(WALL, settings.cell_m / FINER)], forward_camera(model), settings, period)
 
 
 # --- by hand
@@ -65,7 +68,7 @@ def test_one_ray_makes_its_cells_free_up_to_the_wall() -> None:
     The wall begins at 4.55 m; half a diagonal of a cell of 0.25 m, 0.217 m, before it, cells are solid.
     """
     maps = wall_maps(MapSettings(cell_m=0.5, reach_m=6.0, rays=(1, 1)))
-    maps.restart(np.array([True]), at(1.1, 2.1, 1.1))
+    maps.restart(np.array([True]), at(1.1, 2.1, 1.1), FIRST[:1])
     line = maps.states[0, :, 4, 2]
     assert line[:2].tolist() == [UNKNOWN] * 2
     assert line[2:8].tolist() == [FREE] * 6
@@ -78,7 +81,7 @@ def test_one_ray_makes_its_cells_free_up_to_the_wall() -> None:
 def test_only_what_is_new_counts() -> None:
     """Two steps along the ray show two cells more behind the start; the same place shows nothing again."""
     maps = wall_maps(MapSettings(cell_m=0.5, reach_m=2.0, rays=(1, 1)))
-    maps.restart(np.array([True]), at(0.6, 2.1, 1.1))  # cells 1 to 5: samples up to x = 2.5 m
+    maps.restart(np.array([True]), at(0.6, 2.1, 1.1), FIRST[:1])  # cells 1 to 5: samples up to x = 2.5 m
     assert maps.known_m3[0] == pytest.approx(4 * 0.125)
     assert maps.advance(at(0.6, 2.1, 1.1))[0] == 0.0
     assert maps.advance(at(1.6, 2.1, 1.1))[0] == pytest.approx(2 * 0.125)
@@ -90,20 +93,20 @@ def test_rays_are_cast_when_they_are_due_and_maps_begin_anew() -> None:
     both = np.array([True, True])
     poses = np.concatenate([at(1.0, 2.0, 1.0), at(1.0, 2.0, 1.0)])
     turned = np.concatenate([at(1.0, 2.0, 1.0, yaw_rad=1.0)] * 2)
-    maps.restart(both, poses)
+    maps.restart(both, poses, FIRST[:2])
     first = maps.known_m3.copy()
     assert [maps.advance(turned)[0] > 0.0 for _ in range(6)] == [False, False, True, False, False, False]
     assert first[0] == first[1] and maps.known_m3[0] > first[0]
-    maps.restart(np.array([False, True]), poses)
+    maps.restart(np.array([False, True]), poses, FIRST[:2])
     assert maps.known_m3[0] > maps.known_m3[1] == first[1]
     assert np.count_nonzero(maps.states[1]) * 0.25**3 == pytest.approx(maps.known_m3[1])
 
 
 def test_nothing_is_seen_from_outside_and_no_bound_is_a_surface() -> None:
     maps = wall_maps(MapSettings())
-    maps.restart(np.array([True]), at(-0.5, 2.0, 1.0))
+    maps.restart(np.array([True]), at(-0.5, 2.0, 1.0), FIRST[:1])
     assert maps.known_m3[0] == 0.0
-    maps.restart(np.array([True]), at(6.5, 2.0, 1.0))  # behind the wall, toward the end of the box
+    maps.restart(np.array([True]), at(6.5, 2.0, 1.0), FIRST[:1])  # behind the wall, toward the end of the box
     assert maps.known_m3[0] > 0.0 and not np.any(maps.states == OCCUPIED)
 
 
@@ -145,12 +148,12 @@ def test_no_cell_behind_a_surface_becomes_known(world: str) -> None:
     rig, settings = euroc_rig(), MapSettings()
     (camera,) = rig.cameras
     solids = world_cells(world, 0, settings.cell_m / FINER)
-    maps, caster = RayMaps(1, solids, camera, settings, 1), RayCaster(world, 0)
+    maps, caster = RayMaps(1, [solids], camera, settings, 1), RayCaster(world, 0)
     places, rng = free_places(flight_area(world, 0), (1.0, 1.8), 0.6), np.random.default_rng(0)
     offsets = np.stack(np.meshgrid(*[[-0.11, 0.0, 0.11]] * 3), axis=-1).reshape(-1, 3)
     for place in places[rng.integers(0, len(places), 6)]:
         T_world_imu = at(*place, yaw_rad=rng.uniform(-np.pi, np.pi)) @ rig.T_vehicle_imu
-        maps.restart(np.array([True]), T_world_imu)
+        maps.restart(np.array([True]), T_world_imu, FIRST[:1])
         origin = (T_world_imu @ camera.T_imu_cam)[0, :3, 3]
         free = solids.low_m + settings.cell_m * (np.argwhere(maps.states[0] == FREE) + 0.5)
         assert len(free) > 50

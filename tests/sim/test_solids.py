@@ -11,7 +11,7 @@ from dronevio.models.arrays import Array
 from dronevio.models.quadrotor import RESEARCH
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix, quat_wxyz_from_matrix
-from dronevio.sim.physics.batch_plant import BatchPlant
+from dronevio.sim.physics.batch_plant import BatchPlant, PlantWorld
 from dronevio.sim.physics.clearance_grid import reach_m
 from dronevio.sim.physics.mover_bounds import MoverBounds
 from dronevio.sim.physics.mover_table import MoverTable
@@ -78,7 +78,7 @@ def test_a_person_runs_into_a_hovering_drone() -> None:
 
 def test_vehicles_of_a_batch_meet_movers_at_their_own_times() -> None:
     movers, rig = illumination_and_movers("moving", 1)[1], euroc_rig()
-    batch = BatchPlant(3, rig, surroundings=collision_spec("moving", 1), movers=movers)
+    batch = BatchPlant(3, rig, worlds=[PlantWorld(collision_spec("moving", 1), movers)])
     speeds = np.full((3, 4), batch.quadrotor.hover_speed_rad_s)
     states = VehicleStates.at(np.array([in_the_lane(), [0.0, 0.0, 1.5], in_the_lane()]), rotor_speed_rad_s=speeds)
     batch.reset(np.ones(3, bool), states)
@@ -133,7 +133,7 @@ def test_a_batch_meets_a_person_when_a_single_vehicle_does() -> None:
     movers, rig = illumination_and_movers("moving", 1)[1], euroc_rig()
     world = collision_spec("moving", 1)
     one = QuadrotorPlant(rig, surroundings=world, movers=movers)
-    many = BatchPlant(1, rig, surroundings=world, movers=movers)
+    many = BatchPlant(1, rig, worlds=[PlantWorld(world, movers)])
     speeds = np.full(4, one.quadrotor.hover_speed_rad_s)
     for _ in range(2):  # the second flight begins at an earlier time than that of the last comparison with the bounds
         one.reset(pose_matrix(np.eye(3), in_the_lane()), rotor_speeds_rad_s=speeds)

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.arrays import Array, Mask
-from dronevio.sim.physics.vehicle_states import VehicleStates
+from dronevio.sim.physics.vehicle_states import Table, VehicleStates
 
 
 class Termination(IntEnum):
@@ -43,13 +43,13 @@ GROUND_M = 0.03
 
 
 @dataclass(frozen=True, eq=False)
-class Bounds:
-    """Limits of the flight of a vehicle."""
+class Bounds(Table):
+    """Limits of the flights of n vehicles."""
 
     box_m: Array
-    """(2, 3) Box that the vehicle must not leave [m]."""
-    ground_m: float
-    """Smallest height of the centre of mass in the world [m]."""
+    """(n, 2, 3) Boxes that the vehicles must not leave [m]."""
+    ground_m: Array
+    """(n,) Smallest heights of the centres of mass in the world [m]."""
 
 
 def failures(
@@ -62,11 +62,11 @@ def failures(
         touched: (n,) Whether they have touched an obstacle.
         diverged: (n,) Whether their simulation has diverged.
         unestimated: (n,) Whether they fly without a state of their estimator.
-        bounds: Limits of the flight.
+        bounds: Limits of the flights.
     """
     position = states.position_m
     reason = np.zeros(len(position), dtype=np.int64)
-    outside = (position < bounds.box_m[0]) | (position > bounds.box_m[1])
+    outside = (position < bounds.box_m[:, 0]) | (position > bounds.box_m[:, 1])
     for termination, failed in (
         (Termination.NO_ESTIMATE, unestimated),
         (Termination.FLIPPED, states.R_world_vehicle[:, 2, 2] < 0.0),

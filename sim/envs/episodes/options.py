@@ -38,34 +38,40 @@ _NOT_NEGATIVE = ("drag", "gusts", "latency_s", "imu_errors", "light")
 _KEYS = (*_STATES, "quat_wxyz", "goal_m", "randomization")
 
 
+def require_known(options: Mapping[str, Any]) -> None:
+    """Check the names of options.
+
+    Raises:
+        ConfigError: A name is unknown.
+    """
+    for key in options:
+        if key not in _KEYS:
+            raise ConfigError(f"unknown option {key!r} of a reset; expected some of {', '.join(_KEYS)}")
+
+
 def overridden(
     task: AnyTask,
     quadrotor: Quadrotor,
     states: VehicleStates,
     goals: Any,
-    randomized: RandomizedParameters,
     options: Mapping[str, Any],
     rows: Rows,
     count: int,
-) -> tuple[VehicleStates, Any, RandomizedParameters]:
-    """Return initial states, goals and parameters of k episodes, with given values in place of random ones.
+) -> tuple[VehicleStates, Any]:
+    """Return initial states and goals of k episodes, with given values in place of random ones.
 
     Args:
         task: The task.
         quadrotor: The vehicle.
         states: Drawn initial states of k vehicles.
         goals: Drawn goals of k episodes.
-        randomized: Randomized parameters of k episodes.
         options: Given values by name; see the module.
         rows: (k,) Indices of the environments.
         count: Number n of all environments.
 
     Raises:
-        ConfigError: A key is unknown, or a value has a wrong shape, is not finite or not possible.
+        ConfigError: A value has a wrong shape, is not finite or not possible.
     """
-    for key in options:
-        if key not in _KEYS:
-            raise ConfigError(f"unknown option {key!r} of a reset; expected some of {', '.join(_KEYS)}")
     given = {key: _rows_of(key, options[key], getattr(states, key), rows, count) for key in _STATES if key in options}
     for key, (least, most) in _LIMITS.items():
         _require_within(key, given.get(key), least, most)
@@ -77,13 +83,19 @@ def overridden(
         given["R_world_vehicle"] = matrix_from_quat_wxyz(quat)
     if "goal_m" in options:
         goals = task.with_goal(goals, _rows_of("goal_m", options["goal_m"], np.zeros((len(rows), 3)), rows, count))
-    return replace(states, **given), goals, _overridden(randomized, options.get("randomization", {}), rows, count)
+    return replace(states, **given), goals
 
 
-def _overridden(
+def overridden_parameters(
     randomized: RandomizedParameters, values: Mapping[str, Any], rows: Rows, count: int
 ) -> RandomizedParameters:
-    """Return randomized parameters with given values.
+    """Return randomized parameters of k episodes with given values.
+
+    Args:
+        randomized: Randomized parameters of k episodes.
+        values: Given values by name.
+        rows: (k,) Indices of the environments.
+        count: Number n of all environments.
 
     Raises:
         ConfigError: A name is unknown, or a value has a wrong shape, is not finite or negative where it cannot be.

@@ -44,9 +44,11 @@ class Randomization:
     """Each component of the displacement of the cameras from their calibration, in the IMU frame [m]."""
     light: Distribution = _ONE
     """Illumination relative to that of the world."""
+    world_seeds: tuple[int, ...] = ()
+    """Seeds of the worlds, one of which is drawn; only that of the environment by default."""
     texture_seeds: tuple[int, ...] = ()
-    """Seeds of the worlds whose textures and light appear in images, one of which is drawn; only that of the
-    environment by default."""
+    """Seeds of the worlds whose textures and light appear in images, one of which is drawn; only that of the world of
+    the episode by default."""
 
     def __post_init__(self) -> None:
         """Check the types of the values.
@@ -56,7 +58,7 @@ class Randomization:
         """
         for field in fields(self):
             value = getattr(self, field.name)
-            if field.name != "texture_seeds" and not callable(getattr(value, "sample", None)):
+            if field.name not in ("world_seeds", "texture_seeds") and not callable(getattr(value, "sample", None)):
                 raise ConfigError(
                     f"randomization.{field.name} = {value!r}; expected a distribution, such as Constant(…) or "
                     "Uniform(…, …)"
@@ -68,8 +70,9 @@ class Randomization:
         Args:
             rng: Generator of the values.
             count: Number of episodes.
-            world_seed: Seed of the textures without ``texture_seeds``.
+            world_seed: Seed of the world without ``world_seeds``.
         """
+        worlds = _drawn(rng, self.world_seeds, np.full(count, world_seed, dtype=np.int64))
         one, three = (count,), (count, 3)
         angle = rng.uniform(-np.pi, np.pi, count)
         speed = self.wind_m_s.sample(rng, one)
@@ -86,7 +89,8 @@ class Randomization:
             camera_rotation_rad=self.camera_rotation_rad.sample(rng, three),
             camera_translation_m=self.camera_translation_m.sample(rng, three),
             light=self.light.sample(rng, one),
-            texture_seed=rng.choice(np.array(self.texture_seeds or (world_seed,), dtype=np.int64), count),
+            world_seed=worlds,
+            texture_seed=_drawn(rng, self.texture_seeds, worlds),
         )
 
 
@@ -118,6 +122,8 @@ class RandomizedParameters(Table):
     """(n, 3) Displacements of the cameras from their calibration, in the IMU frame [m]."""
     light: Array
     """(n,) Illuminations relative to that of the world."""
+    world_seed: npt.NDArray[np.int64]
+    """(n,) Seeds of the worlds."""
     texture_seed: npt.NDArray[np.int64]
     """(n,) Seeds of the worlds whose textures appear in images."""
 
@@ -138,6 +144,7 @@ class RandomizedParameters(Table):
             camera_rotation_rad=vectors,
             camera_translation_m=vectors,
             light=ones,
+            world_seed=np.full(count, world_seed, dtype=np.int64),
             texture_seed=np.full(count, world_seed, dtype=np.int64),
         )
 
@@ -158,6 +165,11 @@ class RandomizedParameters(Table):
     def values(self) -> dict[str, npt.NDArray[np.generic]]:
         """Return the values by name, as arrays of n rows."""
         return {field.name: getattr(self, field.name).copy() for field in fields(self)}
+
+
+def _drawn(rng: np.random.Generator, seeds: tuple[int, ...], default: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Return one of some seeds for each episode (k,), or the default without any."""
+    return rng.choice(np.array(seeds, dtype=np.int64), len(default)) if seeds else default
 
 
 NOTHING_RANDOM = Randomization()

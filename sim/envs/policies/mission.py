@@ -93,7 +93,9 @@ def policy_mission(
     area = flight_area(world, base.seed_of_world)
     _, goals = task.begin(area, quadrotor, scenario.generator("path"), 1)
     standing_m = float(area.pad[2]) + plant_of(scenario).standing_height_m
-    return PolicyMission(policy, scenario, task, area, goals, Bounds(task.bounds_m(area), standing_m + GROUND_M))
+    return PolicyMission(
+        policy, scenario, task, area, goals, Bounds(task.bounds_m(area)[None], np.full(1, standing_m + GROUND_M))
+    )
 
 
 def policy_outcome(mission: PolicyMission, flight: Flight, began_ns: int | None) -> PolicyOutcome:

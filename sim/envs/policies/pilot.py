@@ -77,10 +77,10 @@ class PolicyPilot:
         self._rotors = _RotorModel(quadrotor, self._interval_s)
         self._imu: deque[Array] = deque([np.zeros(6)] * self._intervals, self._intervals)
         self._flown = _Flown(mission.goals)
-        limits = limits_of(mission.area, self._objective(mission.goals), quadrotor, self._intervals)
+        limits = limits_of([mission.area], self._objective(mission.goals), quadrotor, self._intervals)
         self._named = {name: observation_named(name, limits) for name in policy.names}
         self._randomized = RandomizedParameters.nominal(1, mission.scenario.seed)
-        self._limits = replace(mission.bounds, box_m=np.array([[-np.inf] * 3, [np.inf] * 3]))
+        self._limits = replace(mission.bounds, box_m=np.array([[[-np.inf] * 3, [np.inf] * 3]]))
 
     @property
     def began_ns(self) -> int | None:

@@ -41,8 +41,8 @@ class ImageRenderer:
     def __init__(
         self,
         period: int,
-        make_source: Callable[[int], CameraObservation],
-        texture_seed: int,
+        make_source: Callable[[int, int], CameraObservation],
+        world_seed: int,
         depth_errors: DepthErrors = EXACT,
         focal_px: Mapping[str, float] | None = None,
     ) -> None:
@@ -50,15 +50,15 @@ class ImageRenderer:
 
         Args:
             period: Number of steps from one image to the next.
-            make_source: Function that returns the renderer of the world with a seed of its textures.
-            texture_seed: A seed of textures.
+            make_source: Function that returns the renderer of the world with a seed, and with a seed of its textures.
+            world_seed: Seed of a world.
             depth_errors: Errors of depth images.
             focal_px: Focal lengths of the depth images by name [px].
         """
         self._period, self._make_source = period, make_source
         self._errors, self._focal_px, self._rng = depth_errors, focal_px or {}, np.random.default_rng(0)
-        self._sources = {texture_seed: make_source(texture_seed)}
-        self.spaces = self._sources[texture_seed].spaces()
+        self._sources = {(world_seed, world_seed): make_source(world_seed, world_seed)}
+        self.spaces = self._sources[world_seed, world_seed].spaces()
         """Spaces of the images of one environment by name."""
 
     def reseed(self, rng: np.random.Generator) -> None:
@@ -97,9 +97,10 @@ class ImageRenderer:
         if not due.size:
             return held
         images = {name: image.copy() for name, image in held.images.items()}
-        for seed in np.unique(randomized.texture_seed[due]).tolist():
-            rows = due[randomized.texture_seed[due] == seed]
-            for name, image in self._rendered(rows, T_world_imu, t_ns, randomized, self._source(seed)).items():
+        seeds = np.column_stack([randomized.world_seed, randomized.texture_seed])[due]
+        for each in np.unique(seeds, axis=0):
+            rows, source = due[(seeds == each).all(axis=1)], self._source(*each.tolist())
+            for name, image in self._rendered(rows, T_world_imu, t_ns, randomized, source).items():
                 images[name][rows] = image
         due_in = held.due_in.copy()
         due_in[due] = self._period
@@ -110,11 +111,12 @@ class ImageRenderer:
         for source in self._sources.values():
             source.close()
 
-    def _source(self, texture_seed: int) -> CameraObservation:
-        """Return the renderer of the world with a seed of its textures."""
-        if texture_seed not in self._sources:
-            self._sources[texture_seed] = self._make_source(texture_seed)
-        return self._sources[texture_seed]
+    def _source(self, world_seed: int, texture_seed: int) -> CameraObservation:
+        """Return the renderer of the world with a seed, and with a seed of its textures."""
+        seeds = world_seed, texture_seed
+        if seeds not in self._sources:
+            self._sources[seeds] = self._make_source(*seeds)
+        return self._sources[seeds]
 
     def _rendered(
         self, rows: Rows, T_world_imu: Array, t_ns: Times, randomized: RandomizedParameters, source: CameraObservation

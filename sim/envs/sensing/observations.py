@@ -39,7 +39,7 @@ of their spaces. Images are those of `dronevio.sim.envs.sensing.camera_observati
 `dronevio.sim.envs.sensing.ray_maps`, ranges those of `dronevio.sim.envs.sensing.range_beams`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -123,7 +123,7 @@ class Limits:
 
 
 def limits_of(
-    area: FlightArea,
+    areas: Sequence[FlightArea],
     objective: Objective,
     quadrotor: Quadrotor,
     samples: int,
@@ -133,18 +133,18 @@ def limits_of(
     """Return the sizes and bounds of observations.
 
     Args:
-        area: The world.
+        areas: The worlds, whose floors have one height.
         objective: Goals of any number of vehicles.
         quadrotor: The type of the vehicles.
         samples: Number of IMU samples per action.
         map_shape: Shape of the observed part of a map; empty without one.
         beams: Settings of the range sensor.
     """
-    low, high = area.space.low, area.space.high
+    extents = np.max([area.space.high - area.space.low for area in areas], axis=0)
     return Limits(
-        reach_m=float(np.linalg.norm(high - low)),
-        height_m=float(high[2] - low[2]),
-        floor_m=float(area.pad[2]),
+        reach_m=float(np.linalg.norm(extents)),
+        height_m=float(extents[2]),
+        floor_m=float(areas[0].pad[2]),
         rotor_speed_rad_s=quadrotor.rotor_speed_max_rad_s,
         samples=samples,
         goals=objective.position_m.shape[1],

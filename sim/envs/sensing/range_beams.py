@@ -4,6 +4,7 @@ Rays are cast by MuJoCo through the solids of the world, which see what collides
 that can be flown through, nor the vehicle itself. Nothing is rendered.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Any
@@ -78,18 +79,19 @@ def _solids(world: str, world_seed: int) -> tuple[mujoco.MjModel, mujoco.MjData]
 class RangeBeams:
     """The range sensors of n vehicles."""
 
-    def __init__(self, count: int, world: tuple[str, int], settings: BeamSettings, period: int) -> None:
-        """Compile the solids of the world.
+    def __init__(self, count: int, world: str, seeds: Sequence[int], settings: BeamSettings, period: int) -> None:
+        """Compile the solids of the worlds.
 
         Args:
             count: Number n of vehicles.
-            world: Name and seed of the world.
+            world: Name of the worlds.
+            seeds: Seeds of the worlds.
             settings: Settings.
             period: Number of steps from one measurement to the next.
         """
-        self._solids, self._settings, self._period = _solids(*world), settings, period
+        self._solids, self._settings, self._period = [_solids(world, seed) for seed in seeds], settings, period
         self._position_m, self._directions = np.array(settings.position_m), settings.directions
-        self._due_in = np.zeros(count, dtype=np.int64)
+        self._due_in, self._world = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.intp)
         self._rng = np.random.default_rng(0)
         self.ranges_m = np.full((count, *settings.shape), settings.reach_m)
         """(n, rows, columns) Newest measurements [m]."""
@@ -98,8 +100,9 @@ class RangeBeams:
         """Draw the errors from a stream of another generator from now on."""
         self._rng = rng.spawn(1)[0]
 
-    def restart(self, mask: Mask, states: VehicleStates) -> None:
-        """Measure in a mask (n,) of vehicles at once."""
+    def restart(self, mask: Mask, states: VehicleStates, world: npt.NDArray[np.intp]) -> None:
+        """Measure in a mask (n,) of vehicles at once, which are now in worlds of given indices (n,)."""
+        self._world = np.where(mask, world, self._world)
         self._measure(np.flatnonzero(mask), states)
 
     def advance(self, states: VehicleStates) -> None:
@@ -112,12 +115,14 @@ class RangeBeams:
         return {
             "ranges_m": self.ranges_m.copy(),
             "due_in": self._due_in.copy(),
+            "world": self._world,
             "rng": self._rng.bit_generator.state,
         }
 
     def restore(self, saved: dict[str, Any]) -> None:
         """Return to a state of `save`."""
         self.ranges_m, self._due_in = saved["ranges_m"].copy(), saved["due_in"].copy()
+        self._world = saved["world"]
         self._rng.bit_generator.state = saved["rng"]
 
     def _measure(self, rows: npt.NDArray[np.intp], states: VehicleStates) -> None:
@@ -125,19 +130,21 @@ class RangeBeams:
         if not rows.size:
             return
         c, R = self._settings, states.R_world_vehicle[rows]
-        true_m = self._cast(states.position_m[rows] + R @ self._position_m, self._directions @ R.mT)
+        origins_m = states.position_m[rows] + R @ self._position_m
+        true_m = self._cast(self._world[rows].tolist(), origins_m, self._directions @ R.mT)
         is_hit = (true_m >= 0.0) & (true_m < c.reach_m) & (self._rng.random(true_m.shape) >= c.lost)
         noise_m = np.hypot(c.sigma_m, c.relative_sigma * true_m) * self._rng.standard_normal(true_m.shape)
         measured_m = np.where(is_hit, np.clip(true_m + noise_m, 0.0, c.reach_m), c.reach_m)
         self.ranges_m[rows] = measured_m.reshape(-1, *c.shape)
         self._due_in[rows] = self._period
 
-    def _cast(self, origins_m: Array, directions: Array) -> Array:
+    def _cast(self, worlds: Sequence[int], origins_m: Array, directions: Array) -> Array:
         """Return the distances (k, B) from origins (k, 3) along directions (k, B, 3) [m]; −1 where nothing is hit."""
-        model, data = self._solids
         k, count, _ = directions.shape
         distances_m, geoms = np.empty((k, count)), np.empty(count, np.int32)
-        for origin, along, found in zip(origins_m, np.ascontiguousarray(directions), distances_m, strict=True):
+        rays = zip(worlds, origins_m, np.ascontiguousarray(directions), distances_m, strict=True)
+        for world, origin, along, found in rays:
+            model, data = self._solids[world]
             mujoco.mj_multiRay(
                 model, data, origin, along.ravel(), None, True, -1, geoms, found, None, count, self._settings.reach_m
             )

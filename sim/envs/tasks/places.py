@@ -13,7 +13,7 @@ _CELL_M = 2.0
 _PLACES_SEED = 0  # of the free places, which do not depend on the seed of an environment
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=1024)
 def free_places(area: FlightArea, height_m: tuple[float, float], clearance_m: float) -> Array:
     """Return places (P, 3) in the free space of a world.
 
