@@ -169,13 +169,17 @@ def test_the_previous_image_is_warped_onto_the_current_one() -> None:
 @pytest.mark.parametrize("turn", [0.4, np.pi])
 def test_flow_is_bounded_and_finite(model: Any, turn: float) -> None:
     found = flow(T_BEFORE, T_BEFORE @ pose_matrix(exp_so3(np.array([0.0, turn, 0.0])), np.zeros(3)), model=model)
-    assert np.isfinite(found).all() and np.abs(found[..., 0]).max() <= SIZE[0] and np.abs(found[..., 1]).max() <= SIZE[1]
+    assert (
+        np.isfinite(found).all() and np.abs(found[..., 0]).max() <= SIZE[0] and np.abs(found[..., 1]).max() <= SIZE[1]
+    )
     if model is EUROC_CAM0 and turn > 1.0:
         assert not found.any()  # behind the camera
 
 
 def test_batches_equal_single_images() -> None:
-    observation = RenderedObservation(RigCamera(EUROC_CAM0, np.eye(4)), "low-texture", 0, ImageSettings(("flow",), *SIZE))
+    observation = RenderedObservation(
+        RigCamera(EUROC_CAM0, np.eye(4)), "low-texture", 0, ImageSettings(("flow",), *SIZE)
+    )
     now, before = np.stack([T_NOW, T_BEFORE, T_NOW]), np.stack([T_BEFORE, T_NOW, T_NOW])
     times = np.zeros(3, np.int64)
     batch = observation.observe(now, times, ImagePoses(before, times, np.array([True, True, False])))["flow"]
@@ -201,7 +205,9 @@ def test_flow_with_depth_is_that_without() -> None:
 
 def test_flow_is_that_between_images_of_the_mounted_camera() -> None:
     """With images at half the rate of the actions, and cameras that are turned on the rig."""
-    mounting = Randomization(camera_rotation_rad=Constant(0.05), camera_translation_m=Constant(0.02), light=Constant(0.3))
+    mounting = Randomization(
+        camera_rotation_rad=Constant(0.05), camera_translation_m=Constant(0.02), light=Constant(0.3)
+    )
     env = DroneEnv(observations=("flow",), randomization=mounting, camera_rate_hz=25.0, **SETTINGS)
     rig = env.settings.rig
     error = pose_matrix(exp_so3(np.full(3, 0.05)), np.full(3, 0.02))

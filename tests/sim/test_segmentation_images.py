@@ -58,7 +58,9 @@ def test_numbers_are_those_of_the_objects_that_rays_hit(world: str, yaw_rad: flo
     rays = EUROC_CAM0.fitted(48, 36).unproject(np.stack([u, v], axis=-1)) @ T[:3, :3].T
     names = world_objects(world, 0).names
     seen, hit = [names[number] for number in image[inside]], hit_names(world, T_S, T[:3, 3], rays)
-    assert np.mean([a == b for a, b in zip(seen, hit, strict=True)]) > 0.99  # all but parts of trees that are narrower than a pixel
+    assert (
+        np.mean([a == b for a, b in zip(seen, hit, strict=True)]) > 0.99
+    )  # all but parts of trees that are narrower than a pixel
     assert len(set(hit)) > 3
     if world == "moving":
         assert any(name.startswith(("person", "cart", "banner")) for name in hit)
