@@ -76,8 +76,8 @@ class EnvironmentSettings(Settings):
     action_rate_hz: Annotated[float, Range(0.1, 10_000.0)] = 50.0
     """Rate of the actions, a fraction of that of the IMU [Hz]."""
     camera_rate_hz: Annotated[float, Range(0.1, 10_000.0)] = 0.0
-    """Rate of images, a fraction of that of the actions [Hz]; in between, the last image is repeated. That of the
-    actions by default."""
+    """Rate of images, a fraction of that of the actions [Hz]; in between, the last image is repeated, also that of the
+    flow since the image before. That of the actions by default."""
     estimator: EstimatorFactory | None = None
     """Function that returns an estimator for a rig; the policy and the inner control loops then see its estimate
     instead of the true state, see `dronevio.sim.envs.sensing.estimation`. None uses the true state."""
