@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 
 import dronevio
 from dronevio.estimator.types import Observations
+from dronevio.models.errors import ConfigError
 from dronevio.models.state import CameraFrame
+from dronevio.sim.speed.image_rate import ImageRate
 
 
 def fixture_of(name: str) -> Callable[[Callable[[str], Any]], Any]:
@@ -27,13 +29,24 @@ def fixture_of(name: str) -> Callable[[Callable[[str], Any]], Any]:
 measuring, corrupted_tracks, profiler, seeds = map(fixture_of, ("measuring", "corrupted_tracks", "profiler", "seeds"))
 
 
-gym_speed, physics_rates = map(fixture_of, ("gym_speed", "physics_rates"))
+gym_speed, physics_rates, image_rates = map(fixture_of, ("gym_speed", "physics_rates", "image_rates"))
 
 
 def test_rows_of_other_simulators_have_ratios(gym_speed: Any) -> None:
     measured = [{"version": "3.0.0", "settings": "two vehicles", "speed": 72.4}]
     rows = gym_speed.rows_of("rotorpy", measured, own=144.8)
     assert rows == [("rotorpy 3.0.0", "two vehicles", "72", "2", gym_speed.LEFT_OUT["rotorpy"])]
+
+
+def test_rates_of_images_have_a_row_for_each_world(image_rates: Any) -> None:
+    rates = [
+        ImageRate(world, kind, 64, 48, rate, 1.0)
+        for world, kind, rate in (("room", "grey", 99.6), ("room", "flow", 50.2), ("hall", "grey", 9.0))
+    ]
+    assert image_rates.rows_of(rates) == [("room", "100", "50"), ("hall", "9")]
+    assert image_rates.size_of("64x48") == (64, 48)
+    with pytest.raises(ConfigError, match="'64x'; expected a width and a height"):
+        image_rates.size_of("64x")
 
 
 def test_errors_of_the_physics_shrink_with_the_step(physics_rates: Any) -> None:

@@ -110,7 +110,7 @@ def test_single_and_vector_agree_and_pass_the_checker() -> None:
     ours, theirs = single.reset(seed=3)[0]["segmentation"], vector.reset(seed=3)[0]["segmentation"][0]
     assert ours.shape == (24, 32, 1) and ours.dtype == np.int32
     assert np.array_equal(ours, theirs)
-    box = single.observation_space["segmentation"]
+    box: Any = single.observation_space["segmentation"]  # type: ignore[index]  # of a Dict
     objects = single.settings.objects
     assert box.low.min() == 0 and box.high.max() == len(objects.names) - 1
     copied = pickle.loads(pickle.dumps(single))
