@@ -1,6 +1,7 @@
 """Make the pictures of the environments in docs/images: one of each environment, by its chase camera.
 
-Each picture is taken after some steps of an episode whose start shows the task; `SCENES` lists them. The hashes of the
+Each picture is taken after some steps of an episode whose start shows the task; `SCENES` lists them. The picture
+``environment-images.jpg`` shows the kinds of images that the drone of Race observes at that moment. The hashes of the
 pictures are recorded in ``docs/images/figures.json``::
 
     .venv/bin/python tools/environment_pictures.py Hover Race
@@ -113,6 +114,30 @@ def picture(name: str) -> npt.NDArray[np.uint8]:
     return np.asarray(shown, dtype=np.uint8)
 
 
+def images_picture(name: str, size: tuple[int, int] = (320, 240)) -> npt.NDArray[np.uint8]:
+    """Return the colour, depth, segmentation and flow images that an environment observes, side by side in two rows.
+
+    Near surfaces are bright, each object has a colour, and the hue of a flow is its direction.
+    """
+    scene, kinds = SCENES[name], ("rgb", "depth", "segmentation", "flow")
+    with gymnasium.make(f"dronevio/{name}-v0", observations=kinds, action="velocity", image_size=size) as env:
+        seen = env.reset(seed=scene.seed, options=scene.options)[0]
+        for _ in range(scene.steps):
+            seen = env.step(np.array(scene.action, np.float32))[0]
+    near = 255.0 * np.clip(1.5 / seen["depth"], 0.0, 1.0)
+    palette = np.random.default_rng(1).integers(40, 256, (int(seen["segmentation"].max()) + 1, 3), np.uint8)
+    length, angle_deg = cv2.cartToPolar(seen["flow"][..., 0], seen["flow"][..., 1], angleInDegrees=True)
+    strength = np.clip(255.0 * length / np.percentile(length, 95), 0.0, 255.0)
+    hsv = np.stack([0.5 * angle_deg, strength, np.full_like(length, 255.0)], axis=-1).astype(np.uint8)
+    shown = (
+        seen["rgb"],
+        np.repeat(near.astype(np.uint8), 3, axis=2),
+        palette[seen["segmentation"][..., 0]],
+        np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB), np.uint8),
+    )
+    return np.vstack([np.hstack(shown[:2]), np.hstack(shown[2:])])
+
+
 def record_hashes() -> None:
     """Write the hashes of all pictures in docs/images to figures.json."""
     path = IMAGES / "figures.json"
@@ -127,12 +152,13 @@ def record_hashes() -> None:
 class EnvironmentPicturesCommand:
     """Make the pictures of the environments."""
 
-    names: tyro.conf.Positional[tuple[str, ...]] = tuple(SCENES)
-    """Names of the environments, such as Hover; all by default."""
+    names: tyro.conf.Positional[tuple[str, ...]] = (*SCENES, "images")
+    """Names of the environments, such as Hover, and ``images``; all by default."""
 
 
 if __name__ == "__main__":
     for chosen_name in tyro.cli(EnvironmentPicturesCommand, description=__doc__).names:
         quality = [cv2.IMWRITE_JPEG_QUALITY, 88]
-        cv2.imwrite(str(IMAGES / picture_name(chosen_name)), picture(chosen_name)[..., ::-1], quality)
+        made = images_picture("Race") if chosen_name == "images" else picture(chosen_name)
+        cv2.imwrite(str(IMAGES / picture_name(chosen_name)), made[..., ::-1], quality)
     record_hashes()

@@ -50,3 +50,9 @@ def unique_names(instances: Iterable[Instance]) -> list[str]:
         seen[kind] += 1
         names.append(kind if total[kind] == 1 else f"{kind}_{seen[kind]}")
     return names
+
+
+def kind_of(name: str) -> str:
+    """Return the kind in a name of `unique_names`, or in that of a moving object: ``tree`` of ``tree_2``."""
+    kind, _, number = name.rpartition("_")
+    return kind if kind and number.isdecimal() else name

@@ -187,9 +187,10 @@ class AtlasRenderer:
 
     def motion_of_geoms(self, now: MoverPoses, then: MoverPoses) -> dict[int, Array]:
         """Return for each moving geom the transformation (4, 4) of its points in the world from one time to another."""
-        poses = [self._poses_of_bodies(poses) for poses in (now, then)]
-        body_of = {int(geom.objid): int(self._model.geom_bodyid[geom.objid]) for geom in self._moving}
-        return {geom: poses[1][body] @ inverse_pose(poses[0][body]) for geom, body in body_of.items()}
+        if not self._moving:
+            return {}
+        Ts_then_now = self._poses_of_bodies(then) @ inverse_pose(self._poses_of_bodies(now))
+        return {int(geom.objid): Ts_then_now[self._model.geom_bodyid[geom.objid]] for geom in self._moving}
 
     def _draw_textured(
         self, T_world_cam: Array, mover_poses: MoverPoses, rows: Sequence[tuple[int, int]] | None

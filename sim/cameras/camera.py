@@ -114,6 +114,17 @@ class OffscreenCamera:
         See `dronevio.sim.cameras.surfaces.optical_flow`.
         """
         seen = self.render_surfaces(T_world_cam, mover_poses)
+        return self.flow(seen, T_world_cam, T_world_cam_next, mover_poses, mover_poses_next)
+
+    def flow(
+        self,
+        seen: Surfaces,
+        T_world_cam: Array,
+        T_world_cam_next: Array,
+        mover_poses: MoverPoses = NO_MOVERS,
+        mover_poses_next: MoverPoses = NO_MOVERS,
+    ) -> Flow:
+        """Return the optical flow (H, W, 2) of surfaces seen at a pose and time to another one [px]."""
         moved = self._renderer.motion_of_geoms(mover_poses, mover_poses_next)
         return optical_flow(self.camera, seen, T_world_cam, T_world_cam_next, moved)
 

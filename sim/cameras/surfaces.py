@@ -68,8 +68,9 @@ def optical_flow(
         The displacement x, y; NaN without a surface, or where the point leaves the field of view.
     """
     p_world = points_in_camera(camera, seen.depth_m) @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
-    for geom, T_next_now in (Ts_next_now or {}).items():
-        moving = seen.geom == geom
+    moved = Ts_next_now or {}
+    for geom in moved.keys() & set(np.unique(seen.geom).tolist()):
+        moving, T_next_now = seen.geom == geom, moved[geom]
         p_world[moving] = p_world[moving] @ T_next_now[:3, :3].T + T_next_now[:3, 3]
     T_next_world = inverse_pose(T_world_cam_next)
     pixels = camera.project(p_world @ T_next_world[:3, :3].T + T_next_world[:3, 3])

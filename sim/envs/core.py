@@ -206,7 +206,7 @@ class DroneCore:
             action=np.where(mask[:, None], 0.0, last.action),
             delayed=last.delayed.restarted(mask, randomized.latency_s),
             loops=last.loops,
-            images=None if last.images is None else last.images.demanded(mask),
+            images=None if last.images is None else last.images.restarted(mask),
         )
         if settings.estimator is not None:
             self._wait_for_estimate(settings.estimator, states)

@@ -25,6 +25,7 @@ from dronevio.sim.envs.sensing.estimation import CameraSetup, Estimation, Estima
 from dronevio.sim.envs.sensing.observations import OwnObservation
 from dronevio.sim.envs.sensing.range_beams import DEFAULT_BEAMS, BeamSettings
 from dronevio.sim.envs.sensing.ray_maps import MapSettings
+from dronevio.sim.envs.sensing.world_objects import WorldObjects, world_objects
 from dronevio.sim.envs.tasks import AnyTask, Hover, task_named
 from dronevio.sim.physics.wind import CALM, Wind
 
@@ -73,8 +74,8 @@ class EnvironmentSettings(Settings):
     action_rate_hz: Annotated[float, Range(0.1, 10_000.0)] = 50.0
     """Rate of the actions, a fraction of that of the IMU [Hz]."""
     camera_rate_hz: Annotated[float, Range(0.1, 10_000.0)] = 0.0
-    """Rate of images, a fraction of that of the actions [Hz]; in between, the last image is repeated. That of the
-    actions by default."""
+    """Rate of images, a fraction of that of the actions [Hz]; in between, the last image is repeated, also that of the
+    flow since the image before. That of the actions by default."""
     estimator: EstimatorFactory | None = None
     """Function that returns an estimator for a rig; the policy and the inner control loops then see its estimate
     instead of the true state, see `dronevio.sim.envs.sensing.estimation`. None uses the true state."""
@@ -164,6 +165,15 @@ class EnvironmentSettings(Settings):
         """All observed images."""
         named = (ImageName.parsed(name, self.camera) for name in self.observed)
         return tuple(image for image in named if image is not None)
+
+    @property
+    def objects(self) -> WorldObjects:
+        """Names and kinds of the objects of the world by their numbers in images of ``segmentation``.
+
+        Raises:
+            ConfigError: The world is unknown.
+        """
+        return world_objects(self.world, self.world_seed)
 
     @property
     def depth_focal_px(self) -> dict[str, float]:

@@ -8,7 +8,7 @@ import mujoco
 from dronevio.sim.cameras.atlas_renderer import RenderContext
 from dronevio.sim.rendering.shared import Lease, SharedPool
 from dronevio.sim.rendering.world_files import compiled
-from dronevio.sim.world import Mover, build_world, illumination_and_movers
+from dronevio.sim.world import Mover, build_world, illumination_and_movers, instance_spec
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,38 @@ def lease_world(key: WorldKey, grey: bool = False) -> Lease[LoadedWorld]:
     return LOADED_WORLDS.lease((key, grey), partial(_loaded, key, grey))
 
 
+def lease_instances(name: str, seed: int) -> Lease[LoadedWorld]:
+    """Return a lease of a loaded world without textures, with one geom for each object instance.
+
+    Args:
+        name: Name of the world.
+        seed: Seed of its layout.
+
+    Raises:
+        ConfigError: The world is unknown.
+        GraphicsError: Off-screen OpenGL is not available.
+    """
+    return LOADED_WORLDS.lease(("instances", name, seed), partial(_loaded_instances, name, seed))
+
+
+@lru_cache(maxsize=4)
+def instance_model(name: str, seed: int) -> mujoco.MjModel:
+    """Return the compiled model of a world without textures, with one geom for each object instance.
+
+    Raises:
+        ConfigError: The world is unknown.
+    """
+    spec = instance_spec(name, seed)
+    _shrink_frame_buffer(spec)
+    return spec.compile()
+
+
+def _loaded_instances(name: str, seed: int) -> LoadedWorld:
+    """Load the object instances of a world into graphics memory."""
+    model = instance_model(name, seed)
+    return LoadedWorld(model, *illumination_and_movers(name, seed), RenderContext(model))
+
+
 def _loaded(key: WorldKey, grey: bool) -> LoadedWorld:
     """Load a world into graphics memory."""
     model, illumination, movers = _compiled(key)
@@ -83,6 +115,11 @@ def _compiled(key: WorldKey) -> tuple[mujoco.MjModel, float, tuple[Mover, ...]]:
 def _built(key: WorldKey) -> mujoco.MjModel:
     """Build and compile a world."""
     world = build_world(key.name, key.seed, key.texture_seed, key.texture_reduction, key.light_seed)
-    size = world.spec.visual.global_
-    size.offwidth = size.offheight = 1  # the frame buffer grows to what is rendered; a small one is faster
+    _shrink_frame_buffer(world.spec)
     return world.spec.compile()
+
+
+def _shrink_frame_buffer(spec: mujoco.MjSpec) -> None:
+    """Make the frame buffer of a world small: it grows to what is rendered, and a small one is faster."""
+    size = spec.visual.global_
+    size.offwidth = size.offheight = 1

@@ -13,6 +13,7 @@ from dronevio.models.progress import Progress, silent
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 from dronevio.sim.envs.sensing.camera_observation import ImageKind, ImageSettings, RenderedObservation
+from dronevio.sim.envs.sensing.image_flow import ImagePoses
 from dronevio.sim.world import WORLDS, flight_area
 
 RIG = "euroc"
@@ -21,6 +22,8 @@ REQUIRED_PER_CPU_S = 600.0
 """Required frames per second of processor time in the room, 64 × 64 px."""
 _FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # optical axis along world x
 _KINDS: tuple[ImageKind, ...] = ("grey", "depth")
+_STEP_NS, _FIRST = 20_000_000, np.zeros(1, np.intp)
+_MOTION = pose_matrix(exp_so3(np.full(3, 0.01)), np.full(3, 0.01))  # from an image to the previous one
 
 
 @dataclass(frozen=True)
@@ -49,11 +52,13 @@ def image_rates(
     runs: int = 7,
     seed: int = 0,
     progress: Progress = silent,
+    size: tuple[int, int] = (64, 64),
 ) -> list[ImageRate]:
-    """Measure the rate of images of 64 × 64 px in several worlds.
+    """Measure the rate of images of one size in several worlds.
 
-    Poses are on the route through the world, in all directions, and the same in all runs. The process must do no other
-    work. The first image of each kind is not counted.
+    Each run renders as many images as a vector of ``frames`` environments does in a step. Poses are on the route
+    through the world, in all directions, and the same in all runs; the flow is that of a motion of 2 cm and 1°. The
+    process must do no other work. The first image of each kind is not counted.
 
     Args:
         worlds: Names of the worlds; all by default.
@@ -62,9 +67,10 @@ def image_rates(
         runs: Number of runs.
         seed: Seed of the worlds.
         progress: Callback that receives the number of completed measurements and their total.
+        size: Width and height of the images [px].
 
     Raises:
-        ConfigError: A world is unknown.
+        ConfigError: A world or a kind is unknown.
         GraphicsError: Off-screen OpenGL is not available.
     """
     rates: list[ImageRate] = []
@@ -72,7 +78,7 @@ def image_rates(
     progress(0, total)
     for world in worlds:
         for kind in kinds:
-            rates.append(_measured(world, kind, frames, runs, seed))
+            rates.append(_measured(world, ImageSettings((kind,), *size), frames, runs, seed))
             progress(len(rates), total)
     return rates
 
@@ -97,26 +103,25 @@ def image_figures(rates: Sequence[ImageRate]) -> list[PerformanceFigure]:
     return figures
 
 
-def _measured(world: str, kind: ImageKind, frames: int, runs: int, seed: int) -> ImageRate:
-    """Measure one kind of images in one world."""
-    settings = ImageSettings((kind,))
-    rig = rig_named(RIG)
-    camera = rig.cameras[0]
+def _measured(world: str, settings: ImageSettings, frames: int, runs: int, seed: int) -> ImageRate:
+    """Measure the images of one kind and size in one world."""
+    camera = rig_named(RIG).cameras[0]
     observation = RenderedObservation(camera, world, seed, settings)
     poses = _camera_poses(flight_area(world, seed).route, frames) @ inverse_pose(camera.T_imu_cam)
-    times_ns = np.arange(frames) * 20_000_000
+    times_ns = np.arange(frames) * _STEP_NS
+    previous = ImagePoses(poses @ _MOTION, times_ns - _STEP_NS, np.ones(frames, np.bool_))
     try:
         start_s = time.perf_counter()
-        observation.observe(poses[:1], times_ns[:1])
+        observation.observe(poses[:1], times_ns[:1], previous.rows(_FIRST))
         load_s = time.perf_counter() - start_s
         spent_s = []
         for _ in range(runs):
             start_s = time.process_time()
-            observation.observe(poses, times_ns)
+            observation.observe(poses, times_ns, previous)
             spent_s.append(time.process_time() - start_s)
     finally:
         observation.close()
-    return ImageRate(world, kind, settings.width, settings.height, frames / median(spent_s), load_s)
+    return ImageRate(world, settings.kinds[0], settings.width, settings.height, frames / median(spent_s), load_s)
 
 
 def _camera_poses(route: Array, count: int) -> Array:

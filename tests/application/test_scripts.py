@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 
 import dronevio
 from dronevio.estimator.types import Observations
+from dronevio.models.errors import ConfigError
 from dronevio.models.state import CameraFrame
+from dronevio.sim.speed.image_rate import ImageRate
 
 
 def fixture_of(name: str) -> Callable[[Callable[[str], Any]], Any]:
@@ -27,7 +29,7 @@ def fixture_of(name: str) -> Callable[[Callable[[str], Any]], Any]:
 measuring, corrupted_tracks, profiler, seeds = map(fixture_of, ("measuring", "corrupted_tracks", "profiler", "seeds"))
 
 
-gym_speed, physics_errors = map(fixture_of, ("gym_speed", "physics_errors"))
+gym_speed, physics_errors, image_rates = map(fixture_of, ("gym_speed", "physics_errors", "image_rates"))
 
 
 def test_rows_of_other_simulators(gym_speed: Any) -> None:
@@ -42,6 +44,17 @@ def test_errors_of_the_physics_are_those_of_mujoco(physics_errors: Any, capsys: 
     energy, position = ([float(row[column]) for row in rows] for column in (-5, -4))
     assert energy[0] < 1e-6 and position[0] < 1e-6  # free flight
     np.testing.assert_allclose(np.array(energy[1:3]) / energy[3], [10.0, 4.0], rtol=0.2)  # of first order in the step
+
+
+def test_rates_of_images_have_a_row_for_each_world(image_rates: Any) -> None:
+    rates = [
+        ImageRate(world, kind, 64, 48, rate, 1.0)
+        for world, kind, rate in (("room", "grey", 99.6), ("room", "flow", 50.2), ("hall", "grey", 9.0))
+    ]
+    assert image_rates.rows_of(rates) == [("room", "100", "50"), ("hall", "9")]
+    assert image_rates.size_of("64x48") == (64, 48)
+    with pytest.raises(ConfigError, match="'64x'; expected a width and a height"):
+        image_rates.size_of("64x")
 
 
 @settings(deadline=None)

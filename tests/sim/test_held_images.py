@@ -10,6 +10,7 @@ from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3
 from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.sensing.held_images import ImageRenderer
+from dronevio.sim.envs.sensing.image_flow import ImagePoses
 
 EVERY = np.ones(3, np.bool_)
 
@@ -27,7 +28,7 @@ class CountingSource:
             "depth": spaces.Box(0.0, 9.0, (1, 1, 1), np.float32),
         }
 
-    def observe(self, T_world_imu: Array, t_ns: Any = None) -> dict[str, Any]:
+    def observe(self, T_world_imu: Array, t_ns: Any = None, previous: ImagePoses | None = None) -> dict[str, Any]:
         self.calls += 1
         self.poses.append(T_world_imu)
         grey = np.full((len(T_world_imu), 1, 1, 1), 100 + 10 * self.texture_seed + self.calls, np.uint8)
@@ -64,7 +65,7 @@ def test_images_are_repeated_until_the_next_is_due() -> None:
     shown, randomized = Shown(2), RandomizedParameters.nominal(3, 0)
     assert shown.seen(randomized) == shown.seen(randomized) == [101] * 3
     shown.step()
-    shown.images = shown.images.demanded(np.array([False, True, False]))
+    shown.images = shown.images.restarted(np.array([False, True, False]))
     assert shown.seen(randomized) == [101, 102, 101]
     shown.step()
     assert shown.seen(randomized) == [103, 102, 103]
@@ -97,7 +98,7 @@ def test_later_images_do_not_change_earlier_ones() -> None:
     shown.seen(randomized)
     shown.step()
     saved = shown.images
-    shown.images = shown.images.demanded(EVERY)
+    shown.images = shown.images.restarted(EVERY)
     assert shown.seen(randomized) == [102] * 3
     shown.images = saved
     assert shown.seen(randomized) == [101] * 3

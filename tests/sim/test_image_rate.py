@@ -12,6 +12,8 @@ def test_image_rates_are_measured_by_world_and_kind() -> None:
     assert done == [(0, 2), (1, 2), (2, 2)]
     assert [(rate.world, rate.kind) for rate in rates] == [("low-texture", "grey"), ("low-texture", "depth")]
     assert all(10.0 < rate.per_cpu_s < 1e5 for rate in rates)
+    (large,) = image_rates(("low-texture",), ("flow",), 2, 1, size=(320, 240))
+    assert (large.width, large.height) == (320, 240) and large.per_cpu_s < rates[0].per_cpu_s
 
 
 def test_figures_have_the_bound_of_the_first_world() -> None:

@@ -17,15 +17,17 @@ from dronevio.models.rig import RigCamera
 from dronevio.sim.appearance.textures import PIXELS_PER_M
 from dronevio.sim.cameras.atlas_renderer import NO_MOVERS, MoverPoses
 from dronevio.sim.cameras.camera import OffscreenCamera
-from dronevio.sim.rendering.loaded_world import LoadedWorld, WorldKey, lease_world
+from dronevio.sim.envs.sensing.image_flow import ImagePoses, flow_since
+from dronevio.sim.envs.sensing.world_objects import world_objects
+from dronevio.sim.rendering.loaded_world import LoadedWorld, WorldKey, lease_instances, lease_world
 from dronevio.sim.rendering.shared import Lease
 
 Images = dict[str, npt.NDArray[Any]]
-ImageKind = Literal["grey", "rgb", "depth"]
+ImageKind = Literal["grey", "rgb", "depth", "segmentation", "flow"]
 
-IMAGES: tuple[ImageKind, ...] = ("grey", "rgb", "depth")
+IMAGES: tuple[ImageKind, ...] = ("grey", "rgb", "depth", "segmentation", "flow")
 """Kinds of images."""
-_CHANNELS: dict[ImageKind, int] = {"grey": 1, "rgb": 3, "depth": 1}
+_CHANNELS: dict[ImageKind, int] = {"grey": 1, "rgb": 3, "depth": 1, "segmentation": 1, "flow": 2}
 _SHARP_FROM_M = 1.5  # distance from which reduced textures are as fine as the rendered pixels
 _REDUCTIONS = (4, 2, 1)
 _SUPERSAMPLING = 1.5  # rendered pixels per image pixel along each axis; published environments depend on it
@@ -66,12 +68,13 @@ class CameraObservation(Protocol):
     def spaces(self) -> dict[str, spaces.Box]:
         """Return the spaces of the images of one environment by name."""
 
-    def observe(self, T_world_imu: Array, t_ns: Times | None = None) -> Images:
+    def observe(self, T_world_imu: Array, t_ns: Times | None = None, previous: ImagePoses | None = None) -> Images:
         """Return images by name.
 
         Args:
             T_world_imu: (k, 4, 4) Poses of the IMUs of k environments.
             t_ns: (k,) Times since the starts of their episodes [ns], at which moving objects are shown; 0 by default.
+            previous: Poses and times of their previous images; by default there were none.
 
         Returns:
             Arrays (k, H, W, C).
@@ -86,7 +89,8 @@ class ImageSettings(Settings):
     """Kinds and size of the images of an environment."""
 
     kinds: tuple[ImageKind, ...] = ("grey",)
-    """Kinds of images: ``grey``, ``rgb`` or ``depth``. Each is rendered separately."""
+    """Kinds of images: ``grey``, ``rgb``, ``depth``, ``segmentation`` or ``flow``. Each is rendered separately, but
+    for depth and flow."""
     width: Annotated[int, Range(1, 4096)] = 64
     """Width of the images [px]."""
     height: Annotated[int, Range(1, 4096)] = 64
@@ -112,6 +116,11 @@ class _Renderer:
     lease: Lease[LoadedWorld]
     camera: OffscreenCamera
 
+    @classmethod
+    def opened(cls, lease: Lease[LoadedWorld], model: CameraModel) -> "_Renderer":
+        """Return the renderer of a camera model in a leased world."""
+        return cls(lease, OffscreenCamera(lease.value.model, model, _SUPERSAMPLING, lease.value.context))
+
     def mover_poses(self, t_ns: Times | None, count: int) -> list[MoverPoses]:
         """Return the poses of the moving objects of ``count`` environments at their times (count,) [ns]."""
         movers = self.lease.value.movers
@@ -120,21 +129,15 @@ class _Renderer:
         poses = {mover.body: mover.poses(np.asarray(1e-9 * t_ns, dtype=np.float64)) for mover in movers}
         return [{body: each[row] for body, each in poses.items()} for row in range(count)]
 
-    def image(self, kind: ImageKind, T_world_cam: Array, movers: MoverPoses) -> npt.NDArray[Any]:
-        """Return an image (H, W), or (H, W, 3) for ``rgb``."""
-        if kind == "grey":
-            return self.camera.render(T_world_cam, movers)
-        if kind == "rgb":
-            return self.camera.render_rgb(T_world_cam, movers)
-        return self.camera.render_depth(T_world_cam, movers)
-
 
 class RenderedObservation:
     """Images of one camera of a rig in one world, for any number of environments; implements `CameraObservation`.
 
     The world is loaded at the first call of `observe` and shared with the other environments of the process. The lens
     is that of the rig's camera. Images have no noise and no motion blur, and are exposed as the textures are painted.
-    Depth is the z coordinate in the camera frame for ``radtan`` lenses, and the length of the ray for fisheyes.
+    Depth is the z coordinate in the camera frame for ``radtan`` lenses, and the length of the ray for fisheyes. Depth,
+    segmentation and flow are those at the centres of the pixels: at edges, they are of one surface and never between
+    two.
     """
 
     def __init__(
@@ -160,59 +163,90 @@ class RenderedObservation:
         self._key = WorldKey(
             world, seed, seed if texture_seed is None else texture_seed, texture_reduction(self._model)
         )
-        self._renderer: _Renderer | None = None
+        self._scenery: _Renderer | None = None
+        self._instances: _Renderer | None = None
 
     def spaces(self) -> dict[str, spaces.Box]:
         """Return the spaces of the images of one environment.
 
-        ``grey`` (H, W, 1) and ``rgb`` (H, W, 3) are uint8; ``depth`` (H, W, 1) is float32 [m].
-        """
-        return {kind: _space(kind, self._settings) for kind in self._settings.kinds}
+        ``grey`` (H, W, 1) and ``rgb`` (H, W, 3) are uint8, ``depth`` (H, W, 1) is float32 [m], ``segmentation``
+        (H, W, 1) is int32, and ``flow`` (H, W, 2) is float32 [px].
 
-    def observe(self, T_world_imu: Array, t_ns: Times | None = None) -> Images:
+        Raises:
+            ConfigError: The world is unknown.
+        """
+        return {kind: _space(kind, self._settings, self._key) for kind in self._settings.kinds}
+
+    def observe(self, T_world_imu: Array, t_ns: Times | None = None, previous: ImagePoses | None = None) -> Images:
         """Return the images of k environments by kind.
 
         Args:
             T_world_imu: (k, 4, 4) Poses of the IMUs.
             t_ns: (k,) Times since the starts of the episodes [ns], at which moving objects are shown; 0 by default.
+            previous: Poses and times of the previous images of the k environments, from which the flow begins; where
+                there was none, the flow is 0.
 
         Returns:
-            Arrays (k, H, W, 1), or (k, H, W, 3) for ``rgb``.
+            Arrays (k, H, W, C).
 
         Raises:
             ConfigError: The world is unknown.
             GraphicsError: Off-screen OpenGL is not available.
         """
-        renderer = self._opened()
+        count, wanted = len(T_world_imu), self._settings.kinds
+        images: Images = {kind: np.zeros((count, *space.shape), space.dtype) for kind, space in self.spaces().items()}
         Ts_world_cam = T_world_imu @ self._T_imu_cam
-        movers = renderer.mover_poses(t_ns, len(Ts_world_cam))
-        images: Images = {}
-        for kind in self._settings.kinds:
-            space = _space(kind, self._settings)
-            images[kind] = batch = np.empty((len(Ts_world_cam), *space.shape), space.dtype)
-            for image, T_world_cam, poses in zip(batch, Ts_world_cam, movers, strict=True):
-                image[:] = renderer.image(kind, T_world_cam, poses).reshape(space.shape)
-        if "depth" in images:
-            np.fmin(images["depth"], np.float32(self._settings.depth_max_m), out=images["depth"])  # also for NaN
+        if "segmentation" in wanted:
+            self._observe_objects(images["segmentation"], Ts_world_cam, t_ns)
+        if not {"grey", "rgb"}.isdisjoint(wanted):
+            self._observe_light(images, Ts_world_cam, t_ns)
+        if not {"depth", "flow"}.isdisjoint(wanted):
+            self._observe_surfaces(images, Ts_world_cam, t_ns, previous or ImagePoses.none(count))
         return images
 
     def close(self) -> None:
-        """Release the renderer; the process keeps recently used worlds for other environments."""
-        if self._renderer is not None:
-            renderer, self._renderer = self._renderer, None
-            renderer.lease.release()
+        """Release the renderers; the process keeps recently used worlds for other environments."""
+        renderers, self._scenery, self._instances = (self._scenery, self._instances), None, None
+        for renderer in renderers:
+            if renderer is not None:
+                renderer.lease.release()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes without the renderer, which cannot be pickled."""
-        return {**self.__dict__, "_renderer": None}
+        """Return the attributes without the renderers, which cannot be pickled."""
+        return {**self.__dict__, "_scenery": None, "_instances": None}
 
-    def _opened(self) -> _Renderer:
-        """Return the renderer, which is created if there is none."""
-        if self._renderer is None:
-            lease = lease_world(self._key)
-            camera = OffscreenCamera(lease.value.model, self._model, _SUPERSAMPLING, lease.value.context)
-            self._renderer = _Renderer(lease, camera)
-        return self._renderer
+    def _observe_light(self, images: Images, Ts_world_cam: Array, t_ns: Times | None) -> None:
+        """Render grey levels and colours from poses (k, 4, 4)."""
+        self._scenery = renderer = self._scenery or _Renderer.opened(lease_world(self._key), self._model)
+        movers = renderer.mover_poses(t_ns, len(Ts_world_cam))
+        renders = {"grey": renderer.camera.render, "rgb": renderer.camera.render_rgb}
+        for kind in renders.keys() & images.keys():
+            for image, T_world_cam, poses in zip(images[kind], Ts_world_cam, movers, strict=True):
+                image[:] = renders[kind](T_world_cam, poses).reshape(image.shape)
+
+    def _observe_objects(self, images: npt.NDArray[Any], Ts_world_cam: Array, t_ns: Times | None) -> None:
+        """Render the numbers of the objects (k, H, W, 1) from poses (k, 4, 4)."""
+        name, seed = self._key.name, self._key.seed
+        self._instances = renderer = self._instances or _Renderer.opened(lease_instances(name, seed), self._model)
+        movers = renderer.mover_poses(t_ns, len(Ts_world_cam))
+        for image, T_world_cam, poses in zip(images, Ts_world_cam, movers, strict=True):
+            image[..., 0] = renderer.camera.render_surfaces(T_world_cam, poses).geom + 1
+
+    def _observe_surfaces(self, images: Images, Ts_world_cam: Array, t_ns: Times | None, previous: ImagePoses) -> None:
+        """Render depth and flow from poses (k, 4, 4)."""
+        self._scenery = renderer = self._scenery or _Renderer.opened(lease_world(self._key), self._model)
+        movers = renderer.mover_poses(t_ns, len(Ts_world_cam))
+        before, movers_before = previous.T_world_imu @ self._T_imu_cam, renderer.mover_poses(previous.t_ns, len(movers))
+        for row, T_world_cam in enumerate(Ts_world_cam):
+            if "depth" not in images and not previous.exists[row]:
+                continue
+            seen = renderer.camera.render_surfaces(T_world_cam, movers[row])
+            if "depth" in images:
+                farthest_m = np.float32(self._settings.depth_max_m)
+                np.fmin(seen.depth_m, farthest_m, out=images["depth"][row, ..., 0])  # also for NaN
+            if "flow" in images and previous.exists[row]:
+                poses, moved = (before[row], T_world_cam), (movers_before[row], movers[row])
+                images["flow"][row] = flow_since(renderer.camera, seen, poses, moved)
 
 
 class CameraSet:
@@ -231,9 +265,9 @@ class CameraSet:
         """Return the spaces of the images of one environment by name."""
         return {str(name): self._cameras[name.camera].spaces()[name.kind] for name in self._names}
 
-    def observe(self, T_world_imu: Array, t_ns: Times | None = None) -> Images:
+    def observe(self, T_world_imu: Array, t_ns: Times | None = None, previous: ImagePoses | None = None) -> Images:
         """Return the images of k environments by name; see `RenderedObservation.observe`."""
-        images = {index: camera.observe(T_world_imu, t_ns) for index, camera in self._cameras.items()}
+        images = {index: camera.observe(T_world_imu, t_ns, previous) for index, camera in self._cameras.items()}
         return {str(name): images[name.camera][name.kind] for name in self._names}
 
     def close(self) -> None:
@@ -242,11 +276,16 @@ class CameraSet:
             camera.close()
 
 
-def _space(kind: ImageKind, settings: ImageSettings) -> spaces.Box:
+def _space(kind: ImageKind, settings: ImageSettings, world: WorldKey) -> spaces.Box:
     """Return the space of an image of a kind."""
     shape = settings.height, settings.width, _CHANNELS[kind]
     if kind == "depth":
         return spaces.Box(0.0, settings.depth_max_m, shape, np.float32)
+    if kind == "segmentation":
+        return spaces.Box(0, len(world_objects(world.name, world.seed).names) - 1, shape, np.int32)
+    if kind == "flow":
+        bound = np.broadcast_to(np.array([settings.width, settings.height], np.float32), shape)
+        return spaces.Box(-bound, bound, shape, np.float32)
     return spaces.Box(0, 255, shape, np.uint8)
 
 

@@ -13,8 +13,8 @@ from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.sensing.camera_observation import CameraObservation, Images
 from dronevio.sim.envs.sensing.depth_errors import EXACT, DepthErrors
-
-Rows = npt.NDArray[np.intp]
+from dronevio.sim.envs.sensing.image_flow import ImagePoses
+from dronevio.sim.physics.vehicle_states import with_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +25,13 @@ class HeldImages:
     """(n,) Number of steps until the next image; 0 or less if it is due."""
     images: Images
     """(n, H, W, C) Newest images by name."""
+    poses: ImagePoses
+    """Their poses and times."""
 
-    def demanded(self, mask: Mask) -> "HeldImages":
-        """Return the images with new ones due in a mask (n,)."""
-        return replace(self, due_in=np.where(mask, 0, self.due_in))
+    def restarted(self, mask: Mask) -> "HeldImages":
+        """Return the images at the start of the episodes in a mask (n,), with new ones due there."""
+        poses = replace(self.poses, exists=self.poses.exists & ~mask)
+        return replace(self, due_in=np.where(mask, 0, self.due_in), poses=poses)
 
     def one_step_later(self) -> "HeldImages":
         """Return the images after a step."""
@@ -77,7 +80,7 @@ class ImageRenderer:
     def start(self, count: int) -> HeldImages:
         """Return black images of ``count`` environments, all of them due."""
         black = {name: np.zeros((count, *space.shape), space.dtype) for name, space in self.spaces.items()}
-        return HeldImages(np.zeros(count, dtype=np.int64), black)
+        return HeldImages(np.zeros(count, dtype=np.int64), black, ImagePoses.none(count))
 
     def renewed(
         self, held: HeldImages, T_world_imu: Array, t_ns: Times, randomized: RandomizedParameters
@@ -96,15 +99,19 @@ class ImageRenderer:
         due = np.flatnonzero(held.due_in <= 0)
         if not due.size:
             return held
+        error = pose_matrix(exp_so3(randomized.camera_rotation_rad[due]), randomized.camera_translation_m[due])
+        now = ImagePoses(T_world_imu[due] @ error, t_ns[due], np.ones(due.size, np.bool_))
+        poses = with_rows(held.poses, due, now)
         images = {name: image.copy() for name, image in held.images.items()}
         seeds = np.column_stack([randomized.world_seed, randomized.texture_seed])[due]
         for each in np.unique(seeds, axis=0):
-            rows, source = due[(seeds == each).all(axis=1)], self._source(*each.tolist())
-            for name, image in self._rendered(rows, T_world_imu, t_ns, randomized, source).items():
-                images[name][rows] = image
+            rows = due[(seeds == each).all(axis=1)]
+            rendered = self._rendered(self._source(*each.tolist()), poses.rows(rows), held.poses.rows(rows))
+            for name, image in rendered.items():
+                images[name][rows] = _lit(image, randomized.light[rows])
         due_in = held.due_in.copy()
         due_in[due] = self._period
-        return HeldImages(due_in, images)
+        return HeldImages(due_in, images, poses)
 
     def close(self) -> None:
         """Release the resources of rendering; further calls have no effect."""
@@ -118,16 +125,13 @@ class ImageRenderer:
             self._sources[seeds] = self._make_source(*seeds)
         return self._sources[seeds]
 
-    def _rendered(
-        self, rows: Rows, T_world_imu: Array, t_ns: Times, randomized: RandomizedParameters, source: CameraObservation
-    ) -> Images:
-        """Return the images of some environments."""
-        error = pose_matrix(exp_so3(randomized.camera_rotation_rad[rows]), randomized.camera_translation_m[rows])
-        images = source.observe(T_world_imu[rows] @ error, t_ns[rows])
+    def _rendered(self, source: CameraObservation, now: ImagePoses, previous: ImagePoses) -> Images:
+        """Return the images of some environments, in nominal light."""
+        images = source.observe(now.T_world_imu, now.t_ns, previous)
         for name, focal_px in self._focal_px.items():
             farthest_m = float(self.spaces[name].high.flat[0])
             images[name] = self._errors.applied(images[name], focal_px, farthest_m, self._rng)
-        return {name: _lit(image, randomized.light[rows]) for name, image in images.items()}
+        return images
 
 
 def _lit(images: npt.NDArray[Any], light: Array) -> npt.NDArray[Any]:

@@ -28,6 +28,10 @@ as factors, wind (3) [m/s], gusts, latency [s], and errors of the IMU as a facto
 | ``grey`` | (H, W, 1) uint8 | grey image of the observed camera |
 | ``rgb`` | (H, W, 3) uint8 | colour image of the observed camera |
 | ``depth`` | (H, W, 1) float32 | depth along the optical axis of the observed camera [m] |
+| ``segmentation`` | (H, W, 1) int32 | number of the object that the observed camera sees at each pixel, 0 for none; \
+`dronevio.sim.envs.sensing.world_objects` has names and kinds |
+| ``flow`` | (H, W, 2) float32 | motion of the visible surfaces since the previous image of the observed camera, to \
+the right and down [px]; 0 in the first image (`dronevio.sim.envs.sensing.image_flow`) |
 
 The observed camera is that of the argument ``camera``. A name such as ``grey:1`` is the image of the camera 1 of the
 rig: ``("grey:0", "grey:1")`` are stereo images.
