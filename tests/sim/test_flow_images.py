@@ -211,10 +211,10 @@ def test_flow_is_that_between_images_of_the_mounted_camera() -> None:
     env = DroneEnv(observations=("flow",), randomization=mounting, camera_rate_hz=25.0, **SETTINGS)
     rig = env.settings.rig
     error = pose_matrix(exp_so3(np.full(3, 0.05)), np.full(3, 0.02))
-    seen, poses = [env.reset(seed=2)[0]["flow"]], [env._core.T_world_vehicle[0] @ rig.T_vehicle_imu @ error]
+    seen, poses = [env.reset(seed=2)[0]["flow"]], [env._core.shown(0)[1] @ rig.T_vehicle_imu @ error]
     for _ in range(4):
         seen.append(env.step(np.array([0.0, 0.8, 0.2, 1.0]))[0]["flow"])
-        poses.append(env._core.T_world_vehicle[0] @ rig.T_vehicle_imu @ error)
+        poses.append(env._core.shown(0)[1] @ rig.T_vehicle_imu @ error)
     env.close()
     assert not seen[0].any() and not seen[1].any()  # the first image, which is repeated
     assert np.array_equal(seen[2], seen[3]) and not np.array_equal(seen[3], seen[4])

@@ -18,7 +18,6 @@ from dronevio.sim.appearance.textures import PIXELS_PER_M
 from dronevio.sim.cameras.atlas_renderer import NO_MOVERS, MoverPoses
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.envs.sensing.image_flow import ImagePoses, flow_since
-from dronevio.sim.envs.sensing.world_objects import world_objects
 from dronevio.sim.rendering.loaded_world import LoadedWorld, WorldKey, lease_instances, lease_world
 from dronevio.sim.rendering.shared import Lease
 
@@ -28,6 +27,7 @@ ImageKind = Literal["grey", "rgb", "depth", "segmentation", "flow"]
 IMAGES: tuple[ImageKind, ...] = ("grey", "rgb", "depth", "segmentation", "flow")
 """Kinds of images."""
 _CHANNELS: dict[ImageKind, int] = {"grey": 1, "rgb": 3, "depth": 1, "segmentation": 1, "flow": 2}
+_MOST_OBJECTS = 65535  # as in recordings, whatever the world
 _SHARP_FROM_M = 1.5  # distance from which reduced textures are as fine as the rendered pixels
 _REDUCTIONS = (4, 2, 1)
 _SUPERSAMPLING = 1.5  # rendered pixels per image pixel along each axis; published environments depend on it
@@ -175,7 +175,7 @@ class RenderedObservation:
         Raises:
             ConfigError: The world is unknown.
         """
-        return {kind: _space(kind, self._settings, self._key) for kind in self._settings.kinds}
+        return {kind: _space(kind, self._settings) for kind in self._settings.kinds}
 
     def observe(self, T_world_imu: Array, t_ns: Times | None = None, previous: ImagePoses | None = None) -> Images:
         """Return the images of k environments by kind.
@@ -276,13 +276,13 @@ class CameraSet:
             camera.close()
 
 
-def _space(kind: ImageKind, settings: ImageSettings, world: WorldKey) -> spaces.Box:
+def _space(kind: ImageKind, settings: ImageSettings) -> spaces.Box:
     """Return the space of an image of a kind."""
     shape = settings.height, settings.width, _CHANNELS[kind]
     if kind == "depth":
         return spaces.Box(0.0, settings.depth_max_m, shape, np.float32)
     if kind == "segmentation":
-        return spaces.Box(0, len(world_objects(world.name, world.seed).names) - 1, shape, np.int32)
+        return spaces.Box(0, _MOST_OBJECTS, shape, np.int32)
     if kind == "flow":
         bound = np.broadcast_to(np.array([settings.width, settings.height], np.float32), shape)
         return spaces.Box(-bound, bound, shape, np.float32)
