@@ -1,6 +1,6 @@
 """Loaded worlds: compiled worlds in graphics memory, which the environments of a process share."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import mujoco
@@ -8,7 +8,8 @@ import mujoco
 from dronevio.sim.cameras.atlas_renderer import RenderContext
 from dronevio.sim.rendering.shared import Lease, SharedPool
 from dronevio.sim.rendering.world_files import compiled
-from dronevio.sim.world import Mover, build_world, illumination_and_movers
+from dronevio.sim.world import Mover, build_world, illumination_and_movers, resolved_world
+from dronevio.sim.worlds.own.names import is_python
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,7 @@ def lease_world(key: WorldKey, grey: bool = False) -> Lease[LoadedWorld]:
         ConfigError: The world is unknown.
         GraphicsError: Off-screen OpenGL is not available.
     """
+    key = replace(key, name=resolved_world(key.name))
     return LOADED_WORLDS.lease((key, grey), partial(_loaded, key, grey))
 
 
@@ -77,7 +79,8 @@ def _loaded(key: WorldKey, grey: bool) -> LoadedWorld:
 @lru_cache(maxsize=2)
 def _compiled(key: WorldKey) -> tuple[mujoco.MjModel, float, tuple[Mover, ...]]:
     """Return the compiled model of a world, its illumination and its moving objects."""
-    return compiled(repr(key), partial(_built, key)), *illumination_and_movers(key.name, key.seed, key.light_seed)
+    model = _built(key) if is_python(key.name) else compiled(repr(key), partial(_built, key))  # its imports are unknown
+    return model, *illumination_and_movers(key.name, key.seed, key.light_seed)
 
 
 def _built(key: WorldKey) -> mujoco.MjModel:

@@ -84,9 +84,7 @@ class Place:
 def box_body(half: Array, place: Place) -> Body:
     """Return a box with half extents (3,) [m]."""
     ppm = place.resolution(2.0 * float(half.max()))
-    box = Box(
-        place.position, half, place.look.paint(ppm), R=place.R, pixels_per_m=ppm, instance=place.instance
-    )
+    box = Box(place.position, half, place.look.paint(ppm), R=place.R, pixels_per_m=ppm, instance=place.instance)
     return Body(boxes=(box,), core=(box,))
 
 
@@ -111,7 +109,9 @@ def ellipsoid_body(half: Array, place: Place) -> Body:
     """Return an ellipsoid with half axes (3,) [m], whose surface consists of plane quadrangles."""
     sides = _even_sides(float(half.max()), _SIDES_OF_BALL)
     angle = np.linspace(0.5 * np.pi, -0.5 * np.pi, sides // 2 + 1)
-    return round_body(lateral_surface(np.sin(angle), np.cos(angle), sides) * half, _INSCRIBED * half, np.zeros(1), place)
+    return round_body(
+        lateral_surface(np.sin(angle), np.cos(angle), sides) * half, _INSCRIBED * half, np.zeros(1), place
+    )
 
 
 def capsule_body(radius_m: float, half_m: float, place: Place) -> Body:
@@ -123,7 +123,11 @@ def capsule_body(radius_m: float, half_m: float, place: Place) -> Body:
     ends = np.array([-half_m, half_m])
     body = round_body(grid, _INSCRIBED * radius_m, ends, place)
     inside = np.array([*_INSCRIBED[0, :2] * radius_m, half_m])
-    return Body(sheets=body.sheets, filling=(*body.filling, *place.placed([Box(np.zeros(3), inside, UNPAINTED)])), core=body.core)
+    return Body(
+        sheets=body.sheets,
+        filling=(*body.filling, *place.placed([Box(np.zeros(3), inside, UNPAINTED)])),
+        core=body.core,
+    )
 
 
 def round_body(grid: Array, inside: Array, heights: Array, place: Place) -> Body:

@@ -15,8 +15,8 @@ from dronevio.models.errors import InputError
 from dronevio.models.recordings.calibration.yaml_document import YamlDocument, parse_yaml
 from dronevio.sim.worlds.own.folder import WorldFolder
 from dronevio.sim.worlds.own.looks import TEXTURES, Look, decoded_image
-from dronevio.sim.worlds.own.mjcf import StaticGeom, StaticModel, read_static
 from dronevio.sim.worlds.own.meshes import SUFFIXES, Mesh, read_mesh
+from dronevio.sim.worlds.own.mjcf import StaticGeom, StaticModel, read_static
 
 MOST_OBSTACLES = 1000
 """Largest number of obstacles of a world, scattered ones included."""
@@ -189,9 +189,7 @@ class Fields:
         value = self.yaml.values.get(self.prefix + name)
         rows = value if isinstance(value, tuple) else ()
         found = [row for row in rows if isinstance(row, tuple) and len(row) == width]
-        numbers = [
-            item for row in found for item in row if isinstance(item, float) and limits[0] <= item <= limits[1]
-        ]
+        numbers = [item for row in found for item in row if isinstance(item, float) and limits[0] <= item <= limits[1]]
         many = f"{counts[0]}" if counts[0] == counts[1] else f"{counts[0]} to {counts[1]}"
         if not counts[0] <= len(rows) <= counts[1] or len(numbers) != width * len(rows):
             raise self.error(name, f"{many} lists of {width} numbers from {limits[0]:g} to {limits[1]:g}")

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dronevio.models.arrays import Array
+from dronevio.models.arrays import Array, Image
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.sim.appearance import textures_nature
 from dronevio.sim.appearance.cutouts import Cutouts, Print
@@ -71,8 +71,9 @@ class FileWorld:
             bodies = self._bodies(rng)
         except InputError as error:
             raise ConfigError(str(error)) from None
+        lamps: list[Box] = []
         if described.outdoors:
-            shell, lamps, lights = self._ground(weather), [], [outdoors.sunlight(toward)]
+            shell, lights = self._ground(weather), [outdoors.sunlight(toward)]
         else:
             shell, lamps, lights = self._walls()
         core = tuple(box for body in bodies for box in body.core)
@@ -135,13 +136,11 @@ class FileWorld:
         colour = TEXTURES["grass"].colour
         tones = tuple(scaled(colour, factor) for factor in (0.7, 0.8, 0.9))
 
-        def pasture(rng: Random, height: int, width: int) -> np.ndarray:
+        def pasture(rng: Random, height: int, width: int) -> Image:
             return textures_nature.distance(rng, height, width, tones)
 
         far_ppm = min(_BEYOND_PPM, LARGEST_SIDE_PX / float((wide_high - wide_low).max()))
-        beyond = Sheet(
-            outdoors.flat(tuple(wide_low), tuple(wide_high), z - 0.04), pasture, 0.0, far_ppm, floor
-        )
+        beyond = Sheet(outdoors.flat(tuple(wide_low), tuple(wide_high), z - 0.04), pasture, 0.0, far_ppm, floor)
         middle = np.array([*(0.5 * (low + high)), z])
         radius = max(80.0, float(np.linalg.norm(wide_high - wide_low)) * 0.5)
         sky = outdoors.sky(weather, radius)
@@ -197,7 +196,9 @@ class FileWorld:
         clearance = solid_space_of(layout).clearance(points)
         worst = int(clearance.argmin())
         if clearance[worst] < -1e-9:
-            raise ConfigError(f"{where}: free_box_m: {_text(points[worst])} m is not free; expected a box without obstacles")
+            raise ConfigError(
+                f"{where}: free_box_m: {_text(points[worst])} m is not free; expected a box without obstacles"
+            )
         return given.copy()
 
     def _route(self, layout: Layout, rng: Random) -> Array:

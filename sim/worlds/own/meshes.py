@@ -122,7 +122,7 @@ def mesh_body(mesh: Mesh, place: Place) -> Body:
 
 
 def _as_quads(corners: Array) -> Array:
-    """Return corners (F, 3, D) of anticlockwise triangles as clockwise quadrangles (F, 4, D) with a side of length 0."""
+    """Return anticlockwise triangles (F, 3, D) as clockwise quadrangles (F, 4, D), of which one side has no length."""
     return corners[:, [0, 2, 1, 1]]
 
 
@@ -230,6 +230,7 @@ def _merged(solid: Mask) -> list[tuple[npt.NDArray[np.int64], npt.NDArray[np.int
     return boxes
 
 
-def _run(values: Mask) -> int:
-    """Return the number of true values before the first false one."""
-    return len(values) if values.all() else int(values.argmin())
+def _run(values: npt.ArrayLike) -> int:
+    """Return the number of true values (N,) before the first false one."""
+    listed = np.asarray(values, dtype=np.bool_)
+    return len(listed) if listed.all() else int(listed.argmin())

@@ -21,8 +21,8 @@ from dronevio.models.errors import InputError
 from dronevio.models.rotation import matrix_from_quat_wxyz
 from dronevio.sim.appearance.instances import Instance
 from dronevio.sim.worlds.own.bodies import Body, Place, box_body, capsule_body, cylinder_body, ellipsoid_body
-from dronevio.sim.worlds.own.looks import Look, reduced_to
 from dronevio.sim.worlds.own.folder import WorldFolder
+from dronevio.sim.worlds.own.looks import Look, reduced_to
 from dronevio.sim.worlds.own.meshes import MOST_TRIANGLES, SUFFIXES, mesh_body, mesh_numbered
 
 MOST_GEOMS = 2000
@@ -62,7 +62,7 @@ def inlined(folder: WorldFolder, name: str, content: bytes) -> tuple[str, dict[s
     root = _included(folder, name, content, [name])
     parts = [part for part in root if part.tag in _KEPT]
     assets: dict[str, bytes] = {}
-    folders = {kind: "" for kind in ("mesh", "texture")}
+    folders = dict.fromkeys(("mesh", "texture"), "")
     for part in parts:
         if part.tag == "compiler":
             both = part.attrib.pop("assetdir", "")
@@ -279,8 +279,8 @@ def read_static(folder: WorldFolder, name: str, content: bytes) -> StaticModel:
         content: Its content.
 
     Raises:
-        InputError: It is not MJCF, MuJoCo cannot compile it, it has too many geoms or one of another type, or it names a
-            file outside of the folder.
+        InputError: It is not MJCF, MuJoCo cannot compile it, it has too many geoms or one of another type, or it names
+            a file outside of the folder.
     """
     path = folder.path
     text, assets = inlined(folder, name, content)
@@ -343,11 +343,11 @@ def _static_geom(
 
 def _rgba(model: mujoco.MjModel, geom: int) -> Array:
     """Return the colour (4,) of a geom: its own unless that is the default and it has a material."""
-    own = model.geom_rgba[geom].astype(np.float64)
+    own = np.asarray(model.geom_rgba[geom], dtype=np.float64)
     material = int(model.geom_matid[geom])
     if material >= 0 and np.allclose(own, [0.5, 0.5, 0.5, 1.0]):
-        return model.mat_rgba[material].astype(np.float64)
-    return own
+        return np.asarray(model.mat_rgba[material], dtype=np.float64)
+    return np.asarray(own)
 
 
 def _look_key(model: mujoco.MjModel, geom: int) -> tuple[int, bytes]:
@@ -371,9 +371,7 @@ def _look(model: mujoco.MjModel, geom: int) -> Look:
 
 def _image(model: mujoco.MjModel, texture: int) -> Image:
     """Return the image (H, W, 3) of a texture; that of one side of a cube."""
-    height, width, channels = (
-        int(part[texture]) for part in (model.tex_height, model.tex_width, model.tex_nchannel)
-    )
+    height, width, channels = (int(part[texture]) for part in (model.tex_height, model.tex_width, model.tex_nchannel))
     first = int(model.tex_adr[texture])
     image = model.tex_data[first : first + height * width * channels].reshape(height, width, channels)
     if model.tex_type[texture] != mujoco.mjtTexture.mjTEXTURE_2D:

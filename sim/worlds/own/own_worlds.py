@@ -1,21 +1,26 @@
 """Own worlds by name: complete names, which identify the content, and builders."""
 
 import hashlib
-import importlib
-import re
-import sys
 from functools import cache, lru_cache
 from pathlib import Path
+from typing import ClassVar
 
 from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.python_names import PythonName
 from dronevio.models.recordings.files import read_bytes
 from dronevio.sim.worlds.layout import WorldBuilder
 from dronevio.sim.worlds.own.description import description_of_model, read_description
 from dronevio.sim.worlds.own.file_world import file_world
 from dronevio.sim.worlds.own.folder import MOST_BYTES, WorldFolder
-from dronevio.sim.worlds.own.names import HASH_DIGITS, PYTHON_PREFIX, is_python, split_name
+from dronevio.sim.worlds.own.names import HASH_DIGITS, is_python, split_name
 
 _EXPECTED = "a world in YAML or MJCF"
+
+
+class _PythonWorld(PythonName):
+    """Name of the builder of a world in a Python module."""
+
+    what: ClassVar[str] = "world"
 
 
 def complete_name(name: str) -> str:
@@ -38,12 +43,14 @@ def complete_name(name: str) -> str:
         text = str(Path(text).expanduser().absolute())
         if expected is not None and not Path(text).is_file():
             raise ConfigError(
-                f"world {name}: there is no file {Path(text).name} in {Path(text).parent}; expected the file of the world"
-                " in which the recording was made"
+                f"world {name}: there is no file {Path(text).name} in {Path(text).parent}; expected the world of the"
+                " recording"
             )
         found = _read(Path(text))[1]
     if expected is not None and found != expected:
-        raise ConfigError(f"world {name}: the content has the hash {found} now; expected {expected}, as it was recorded")
+        raise ConfigError(
+            f"world {name}: the content has the hash {found} now; expected {expected}, as it was recorded"
+        )
     return f"{text}#{found}"
 
 
@@ -102,24 +109,12 @@ def _python_world(text: str) -> tuple[WorldBuilder, str]:
     Raises:
         ConfigError: The text has another form, the module cannot be imported, or it has no such builder.
     """
-    module_name, _, name = text.removeprefix(PYTHON_PREFIX).partition(":")
-    if not (re.fullmatch(r"\w+(\.\w+)*", module_name) and name.isidentifier()):
-        raise ConfigError(f"world {text!r}; expected {PYTHON_PREFIX}package.module:NAME")
-    here = str(Path.cwd())
-    if here not in sys.path:  # after what is installed, until the process ends
-        sys.path.append(here)
-    importlib.invalidate_caches()
-    try:
-        module = importlib.import_module(module_name)
-    except Exception as error:  # whatever the module of the user raises
-        reason = f"{type(error).__name__}: {error}"
-        raise ConfigError(
-            f"world {text}: cannot import {module_name}: {reason}; expected a module that is installed or is in {here}"
-        ) from error
-    builder = getattr(module, name, None)
+    named = _PythonWorld.parse(text)
+    module = named.imported_module()
+    builder = getattr(module, named.name, None)
     if not isinstance(builder, WorldBuilder):
         found = "nothing" if builder is None else f"a {type(builder).__name__}"
-        raise ConfigError(f"world {text}: {name} in {module_name} is {found}; expected a WorldBuilder")
+        raise ConfigError(f"world {text}: {named.name} in {named.module} is {found}; expected a WorldBuilder")
     file = getattr(module, "__file__", None)
     source = Path(file).read_bytes() if file and Path(file).is_file() else b""
     return builder, hashlib.sha256(source).hexdigest()[:HASH_DIGITS]

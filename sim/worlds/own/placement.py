@@ -93,7 +93,7 @@ def _scattered(
         lengths = rng.uniform(shape.least, shape.greatest)
         R = rotation_z(rng.uniform(0.0, 2.0 * np.pi)) @ shape.R
         radius = _radius(shape, lengths, R)
-        thrown = rng.uniform(*scatter.region_m, (_TRIES, 2))
+        thrown = rng.uniform(scatter.region_m[0], scatter.region_m[1], (_TRIES, 2))
         clear = np.linalg.norm(thrown - description.pad_m[:2], axis=1) - radius >= scatter.pad_distance_m
         clear &= np.all((thrown - radius >= low[:2]) & (thrown + radius <= description.high[:2]), axis=1)
         if description.route_m is not None:
