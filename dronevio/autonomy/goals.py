@@ -73,8 +73,8 @@ def drawn_goal(world: str, world_seed: int, seed: int, body: Body = _BODY) -> Ar
             return np.asarray(goal)
     raise ConfigError(
         f"world {shown_world(world)} of seed {world_seed} has no goal behind obstacles: none of"
-        f" {min(_DRAWS, len(places))} places that the drone reaches is out of sight, {GOAL_CLEARANCE_M:g} m from all solids and {least_m:g} to"
-        f" {greatest_m:g} m away"
+        f" {min(_DRAWS, len(places))} places that the drone reaches is out of sight, {GOAL_CLEARANCE_M:g} m from all"
+        f" solids and {least_m:g} to {greatest_m:g} m away"
     )
 
 
