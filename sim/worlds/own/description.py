@@ -392,12 +392,13 @@ def _obstacles(fields: Fields, low: Array, high: Array) -> tuple[Obstacle, ...]:
     obstacles = []
     for item in fields.items("obstacles"):
         item.only((*_SHAPE_FIELDS, "position_m", *dict.fromkeys(name for names in _SIZES.values() for name in names)))
+        shape = item.shape(False)
         position = np.array(item.numbers("position_m", (2, 3), (-200.0, 200.0)))
         count = len(position)
         if np.any(position < low[:count]) or np.any(position > high[:count]):
             bounds = ", ".join(f"{a:g} to {b:g}" for a, b in zip(low, high, strict=True))
             raise item.error("position_m", f"a place in the world: {bounds} m")
-        obstacles.append(Obstacle(item.shape(False), tuple(position.tolist())))
+        obstacles.append(Obstacle(shape, tuple(position.tolist())))
     return tuple(obstacles)
 
 
