@@ -89,11 +89,33 @@ def found_route(space: Space, pad: Array, rng: np.random.Generator) -> Array | N
     offset = points[:, :2] - points[:, :2].mean(axis=0)
     order = np.argsort(np.arctan2(offset[:, 1], offset[:, 0]))
     order = np.roll(order, -int(np.flatnonzero(order == 0)[0]))
+    return _joined(space, points[order])
+
+
+def _joined(space: Space, points: Array) -> Array | None:
+    """Return a closed tour (R, 3) through the first of some points (K, 3) and the others, with detours.
+
+    Points to which no detour leads from the one before are left out. None if fewer than three remain.
+    """
+    ways: list[Array] = [points[:1]]  # to each point, without the one before
+    for goal in points[1:]:
+        way = _way(space, ways[-1][-1], goal)
+        if way is not None:
+            ways.append(way)
+    while len(ways) > 2:
+        back = _way(space, ways[-1][-1], points[0])
+        if back is not None:
+            return np.concatenate([*ways, back[:-1]])
+        ways.pop()
+    return None
+
+
+def _way(space: Space, start: Array, goal: Array) -> Array | None:
+    """Return a way (M, 3) with clearance from a point to another, without the first one; None if none is found."""
     try:
-        tour = collision_free_polyline(space, points[[*order, 0]], _CLEARANCE_M)
+        return collision_free_polyline(space, np.stack([start, goal]), _CLEARANCE_M)[1:]
     except ConfigError:
         return None
-    return tour[:-1]
 
 
 def route_clearance(space: Space, route: Array) -> float:
