@@ -15,6 +15,7 @@ from dronevio.autonomy.exploration import exploration_scenario
 from dronevio.cli import main
 from dronevio.envs import DroneEnv, DroneVectorEnv, Navigate, Termination
 from dronevio.models.recordings.scenario_file import world_of
+from dronevio.sim.envs.sensing.range_beams import BeamSettings
 from dronevio.sim.ray_casting import RayCaster
 from dronevio.sim.world import flight_area, resolved_world
 from dronevio.sim.worlds.own.names import recorded_world
@@ -89,18 +90,22 @@ def test_wrong_files_are_one_line(
 
 
 def test_an_environment_in_a_file_passes_the_check_and_has_its_obstacles(here: Path) -> None:
-    env = gymnasium.make("dronevio.envs:dronevio/Navigate-v0", world="yard.yaml", observations=("goals", "ranges"))
+    empty = "size_m: [9, 9, 4]\noutdoors: true\nobstacles:\n"
+    sides = [("[8, 0.3, 3]", x) for x in ("[0, 3.8]", "[0, -3.8]")] + [
+        ("[0.3, 8, 3]", x) for x in ("[3.8, 0]", "[-3.8, 0]")
+    ]
+    box = "  - {{shape: box, size_m: {}, position_m: {}}}\n"
+    (here / "cell.yaml").write_text(empty + "".join(box.format(*side) for side in sides))
+    (here / "open.yaml").write_text(empty + box.format("[0.1, 0.1, 0.1]", "[4.4, 4.4]"))
+    settings = {"task": Navigate(distance_m=(0.8, 2.0), episode_s=8.0), "observations": ("goals",)}
+    env = gymnasium.make("dronevio.envs:dronevio/Navigate-v0", world="cell.yaml", **settings)
     check_env(env.unwrapped, skip_render_check=True)
-    assert crashes(env, range(12)) >= 3
-    assert env.unwrapped.get_wrapper_attr("spec") is not None
-    empty = here / "empty.yaml"
-    empty.write_text("size_m: [18, 14, 5]\noutdoors: true\n")
-    assert crashes(DroneEnv(Navigate(), world="empty.yaml"), range(6)) == 0
+    assert crashes(env, range(3)) > crashes(DroneEnv(world="open.yaml", **settings), range(3)) == 0
 
 
 def test_vectors_and_worker_processes_have_the_same_world(here: Path) -> None:
     settings = {"world": "yard.yaml", "world_seed": 2, "observations": ("goals", "ranges")}
-    envs = DroneVectorEnv(Navigate(), num_envs=2, **settings)
+    envs = DroneVectorEnv(2, "navigate", **settings)
     workers = gymnasium.make_vec(
         "dronevio.envs:dronevio/Navigate-v0", num_envs=2, vectorization_mode="async", **settings
     )
@@ -118,11 +123,13 @@ def test_vectors_and_worker_processes_have_the_same_world(here: Path) -> None:
 def test_range_beams_and_maps_see_an_edited_file(here: Path) -> None:
     def seen(text: str) -> np.ndarray:
         (here / "cell.yaml").write_text(text)
-        env = DroneEnv(Navigate(distance_m=(1.0, 3.0)), world="cell.yaml", observations=("ranges", "local_map"))
+        beams = BeamSettings(field_deg=(360.0, 45.0), reach_m=30.0, lost=0.0)
+        settings = {"world": "cell.yaml", "observations": ("ranges", "local_map"), "beams": beams}
+        env = DroneEnv(Navigate(distance_m=(1.0, 3.0)), **settings)
         return np.asarray(env.reset(seed=0)[0]["ranges"])
 
-    small, large = seen("size_m: [8, 8, 4]"), seen("size_m: [16, 16, 4]")
-    assert large.max() > 1.2 * small.max()
+    small, large = seen("size_m: [5, 5, 3]"), seen("size_m: [16, 16, 4]")
+    assert large.max() > 8.0 > small.max() > 0.5  # the diagonals are 7.1 m and 22.6 m
 
 
 def test_scenarios_of_explorations_are_of_the_file(here: Path) -> None:

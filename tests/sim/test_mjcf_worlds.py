@@ -73,7 +73,7 @@ def test_static_geoms_are_solid(written: Writer) -> None:
     probe.add_geom(name="probe", size=[1e-6, 0, 0], type=mujoco.mjtGeom.mjGEOM_SPHERE)
     compiled = own.compile()
     data = mujoco.MjData(compiled)
-    solid = list(("wall", "pole", "ball", "pill", "egg", "wedge", "unseen", "nested"))
+    solid = ["wall", "pole", "ball", "pill", "egg", "wedge", "unseen", "nested"]
     numbers = [compiled.geom(name).id for name in solid]
     numbers += [k for k in range(compiled.ngeom) if compiled.geom(k).name.startswith("post")]
     assert len(numbers) == len(solid) + 3
