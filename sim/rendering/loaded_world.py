@@ -9,7 +9,7 @@ from dronevio.sim.cameras.atlas_renderer import RenderContext
 from dronevio.sim.rendering.shared import Lease, SharedPool
 from dronevio.sim.rendering.world_files import compiled
 from dronevio.sim.world import Mover, build_world, illumination_and_movers, resolved_world
-from dronevio.sim.worlds.own.names import is_python
+from dronevio.sim.worlds.own.names import is_file, is_python
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,8 @@ def lease_world(key: WorldKey, grey: bool = False) -> Lease[LoadedWorld]:
         ConfigError: The world is unknown.
         GraphicsError: Off-screen OpenGL is not available.
     """
-    key = replace(key, name=resolved_world(key.name))
+    if is_file(key.name) or is_python(key.name):  # a file may change
+        key = replace(key, name=resolved_world(key.name))
     return LOADED_WORLDS.lease((key, grey), partial(_loaded, key, grey))
 
 
