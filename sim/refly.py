@@ -18,7 +18,8 @@ from dronevio.sim.inertial.imu import ImuErrors
 from dronevio.sim.paths.placement import place_path
 from dronevio.sim.paths.spline import SmoothMotion
 from dronevio.sim.streams import generator
-from dronevio.sim.world import flight_area
+from dronevio.sim.world import flight_area, resolved_world
+from dronevio.sim.worlds.own.names import shown_world
 
 MARGIN_M = 0.3
 """Smallest distance between a placed path and any surface [m]; the IMU is inside the vehicle."""
@@ -58,15 +59,16 @@ def refly(
         recorded: Trajectory of the IMU in a world frame with z up.
         imu: Recorded IMU samples; None synthesizes samples of the rig's IMU.
         rig: The rig that observes the path.
-        world: Name of the simulated world.
+        world: Name of the simulated world; see `dronevio.sim.world.resolved_world`.
         seed: Seed of the world and of the errors of a synthesized IMU.
         margin_m: Smallest distance between the path and any surface [m].
 
     Raises:
-        ConfigError: The world is unknown; the path does not fit into it, is too short or has gaps; or path and IMU do
-            not overlap in time.
+        ConfigError: The world is unknown, or its file is damaged; the path does not fit into it, is too short or has
+            gaps; or path and IMU do not overlap in time.
     """
-    space = flight_area(world, seed).space
+    resolved = resolved_world(world)
+    space = flight_area(resolved, seed).space
     if imu is None:
         truth, samples = _synthesized(recorded, rig, seed)
     else:
@@ -75,8 +77,8 @@ def refly(
     schedule = schedule_frames(stamps, generator(seed, "frames"), rig.time_offset_s).within(
         int(truth.t_ns[0]), int(truth.t_ns[-1])
     )
-    T_simworld_world = place_path(truth.p_world_imu, space, margin_m, world)
-    return FlownPath(rig, truth, samples, schedule, world, T_simworld_world, imu is not None)
+    T_simworld_world = place_path(truth.p_world_imu, space, margin_m, shown_world(world))
+    return FlownPath(rig, truth, samples, schedule, resolved, T_simworld_world, imu is not None)
 
 
 def cut(recorded: Trajectory, start_s: float, duration_s: float | None) -> Trajectory:

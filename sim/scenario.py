@@ -1,6 +1,6 @@
 """Scenarios: world, vehicle, flight plan, sensors, wind, faults and seed of one simulated flight."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from dronevio.sim.faults import Faults
 from dronevio.sim.paths.plan import FlightPlan
 from dronevio.sim.physics.wind import CALM, Wind
 from dronevio.sim.streams import Stream, generator
+from dronevio.sim.worlds.own.names import recorded_world
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,8 @@ class Scenario:
     plan: FlightPlan
     """The plan of the path."""
     world: str = "room"
-    """Name of the world, a key of `dronevio.sim.world.WORLDS`."""
+    """Name of the world, a key of `dronevio.sim.world.WORLDS` or a world of one's own
+    (`dronevio.sim.world.resolved_world`)."""
     rig: Rig = field(default_factory=euroc_rig)
     """The calibrated sensors; deviations of the true rig are in ``faults``."""
     quadrotor: Quadrotor = field(default_factory=Quadrotor)
@@ -51,6 +53,18 @@ class Scenario:
     def seed_of_world(self) -> int:
         """Seed of layout, textures and moving objects of the world."""
         return self.seed if self.world_seed is None else self.world_seed
+
+    @property
+    def recorded(self) -> "Scenario":
+        """The scenario as recordings and reports state it: with the seed of its world, and with the name of the file of
+        a world of one's own and its hash, without the folder.
+
+        Raises:
+            ConfigError: The world is unknown, or its file is damaged.
+        """
+        from dronevio.sim.world import resolved_world
+
+        return replace(self, world=recorded_world(resolved_world(self.world)), world_seed=self.seed_of_world)
 
     @property
     def true_rig(self) -> Rig:

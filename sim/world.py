@@ -37,6 +37,8 @@ from dronevio.sim.worlds.low_texture import LOW_TEXTURE
 from dronevio.sim.worlds.mirror import MIRROR
 from dronevio.sim.worlds.moving import MOVING
 from dronevio.sim.worlds.office import OFFICE, OFFICE_GLASS, OFFICE_NARROW, OFFICE_WHITE
+from dronevio.sim.worlds.own.names import FORMS, is_file, is_python, recorded_world
+from dronevio.sim.worlds.own.own_worlds import builder_of, complete_name
 from dronevio.sim.worlds.repetitive import REPETITIVE
 from dronevio.sim.worlds.room import ROOM
 from dronevio.sim.worlds.warehouse import WAREHOUSE
@@ -58,7 +60,8 @@ WORLDS: dict[str, WorldBuilder] = {
     "office-white": OFFICE_WHITE,
     "office-glass": OFFICE_GLASS,
 }
-"""Builders of all worlds by name."""
+"""Builders of the worlds of the package by name. Wherever a name is accepted, so is a world of one's own; see
+`resolved_world`."""
 
 _MOVING_PAGE_PX = 1024
 
@@ -78,7 +81,7 @@ class World:
     """A world without the drone."""
 
     name: str
-    """Name of the world."""
+    """Name of the world as `resolved_world` returns it."""
     seed: int
     """Seed of its layout and textures."""
     spec: mujoco.MjSpec
@@ -110,7 +113,7 @@ def build_world(
     """Build a world from its name and seed.
 
     Args:
-        name: A key of `WORLDS`.
+        name: A key of `WORLDS`, or a world of one's own, see `resolved_world`.
         seed: Seed of layout, textures and light; the same seed gives the same bytes.
         texture_seed: Seed of the textures, by default that of the world. The layout, and with it the colours of the
             objects, does not depend on it.
@@ -119,12 +122,12 @@ def build_world(
         light_seed: Seed of other light, by default the light that belongs to the layout.
 
     Raises:
-        ConfigError: The world is unknown.
+        ConfigError: The world is unknown, or its file is damaged.
     """
-    require_world(name)
+    name = resolved_world(name)
     layout, appearance = _painted(name, seed, seed if texture_seed is None else texture_seed, light_seed)
     spec = assembled(layout, appearance if texture_reduction == 1 else appearance.reduced(texture_reduction))
-    spec.modelname = f"{name}-{seed}"
+    spec.modelname = f"{recorded_world(name)}-{seed}"
     return World(
         name,
         seed,
@@ -139,25 +142,64 @@ def build_world(
     )
 
 
-@lru_cache(maxsize=4)
+def resolved_world(name: str) -> str:
+    """Return a name that identifies a world also in other processes, and after its file has changed.
+
+    Args:
+        name: A key of `WORLDS`; a file of one's own in YAML or MJCF (``yard.yaml``, ``yard.xml``); or a `WorldBuilder`
+            in a Python module (``python:package.module:NAME``).
+
+    Returns:
+        The name; that of a world of one's own has the absolute path of the file, and a hash of its content.
+
+    Raises:
+        ConfigError: The world is unknown, or its file is damaged.
+    """
+    if name in WORLDS:
+        return name
+    if not (is_file(name) or is_python(name)):
+        raise unknown_name("world", name, (*WORLDS, *FORMS))
+    return complete_name(name)
+
+
+def world_builder(name: str) -> WorldBuilder:
+    """Return the builder of a world: its description, its difficulty, and the function that draws its layout.
+
+    Raises:
+        ConfigError: The world is unknown, or its file is damaged.
+    """
+    name = resolved_world(name)
+    return WORLDS[name] if name in WORLDS else builder_of(name)
+
+
 def _layout(name: str, seed: int) -> Layout:
     """Return the layout of a world in its own light, which several functions of this module need one after another.
 
     Raises:
-        ConfigError: The world is unknown.
+        ConfigError: The world is unknown, or its file is damaged.
     """
-    require_world(name)
-    return WORLDS[name].layout(_generators(seed)[0])
+    return _resolved_layout(resolved_world(name), seed)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=4)
+def _resolved_layout(name: str, seed: int) -> Layout:
+    """Return the layout of a world with a resolved name."""
+    return world_builder(name).layout(_generators(seed)[0])
+
+
 def flight_area(name: str, seed: int) -> FlightArea:
     """Return what a path planner needs of a world, without painting its textures, which takes seconds.
 
     Raises:
-        ConfigError: The world is unknown.
+        ConfigError: The world is unknown, or its file is damaged.
     """
-    layout = _layout(name, seed)
+    return _resolved_flight_area(resolved_world(name), seed)
+
+
+@lru_cache(maxsize=8)
+def _resolved_flight_area(name: str, seed: int) -> FlightArea:
+    """Return what a path planner needs of a world with a resolved name."""
+    layout = _resolved_layout(name, seed)
     return FlightArea(space_of(layout), layout.free_box, layout.pad, layout.route, layout.gates)
 
 
@@ -165,18 +207,17 @@ def illumination_and_movers(name: str, seed: int, light_seed: int | None = None)
     """Return the illumination and the moving objects of a world, without painting its textures.
 
     Args:
-        name: A key of `WORLDS`.
+        name: Name of the world.
         seed: Seed of the layout.
         light_seed: Seed of other light, by default the light that belongs to the layout.
 
     Raises:
-        ConfigError: The world is unknown.
+        ConfigError: The world is unknown, or its file is damaged.
     """
     if light_seed is None:
         layout = _layout(name, seed)
     else:
-        require_world(name)
-        layout = drawn_layout(WORLDS[name], _generators(seed)[0], _light(light_seed))
+        layout = drawn_layout(world_builder(name), _generators(seed)[0], _light(light_seed))
     return layout.illumination, _movers(layout)
 
 
@@ -186,7 +227,7 @@ def collision_spec(name: str, seed: int) -> mujoco.MjSpec:
     Moving objects are on mocap bodies of the same names as in `build_world`, at their poses at the start of a flight.
 
     Raises:
-        ConfigError: The world is unknown.
+        ConfigError: The world is unknown, or its file is damaged.
     """
     spec, layout = mujoco.MjSpec(), _layout(name, seed)
     add_collision_geoms(spec, layout)
@@ -194,16 +235,21 @@ def collision_spec(name: str, seed: int) -> mujoco.MjSpec:
     return spec
 
 
-@lru_cache(maxsize=8)
 def solid_space(name: str, seed: int) -> Space:
     """Return the bounds and the static solids of a world: its clearance is the distance of points to what collides.
 
     In contrast to the space of `flight_area`, furniture is not one box, and the lanes of moving objects are free.
 
     Raises:
-        ConfigError: The world is unknown.
+        ConfigError: The world is unknown, or its file is damaged.
     """
-    return solid_space_of(_layout(name, seed))
+    return _resolved_solid_space(resolved_world(name), seed)
+
+
+@lru_cache(maxsize=8)
+def _resolved_solid_space(name: str, seed: int) -> Space:
+    """Return the bounds and the static solids of a world with a resolved name."""
+    return solid_space_of(_resolved_layout(name, seed))
 
 
 def instance_spec(name: str, seed: int) -> mujoco.MjSpec:
@@ -213,7 +259,7 @@ def instance_spec(name: str, seed: int) -> mujoco.MjSpec:
     in the same order. Moving objects are on bodies of the same names as in `build_world`.
 
     Raises:
-        ConfigError: The world is unknown.
+        ConfigError: The world is unknown, or its file is damaged.
     """
     return assembled_instances(_layout(name, seed))
 
@@ -222,7 +268,7 @@ def visible_quads(name: str, seed: int) -> dict[str, Array]:
     """Return the visible static surfaces of a world: the quadrangles (F, 4, 3) of each instance by its name [m].
 
     Raises:
-        ConfigError: The world is unknown.
+        ConfigError: The world is unknown, or its file is damaged.
     """
     return instance_quads(_layout(name, seed))
 
@@ -231,15 +277,14 @@ def scenery_of(name: str, seed: int, light_seed: int | None = None) -> Scenery:
     """Return the visible surroundings of a world for drawings, with smaller textures.
 
     Args:
-        name: A key of `WORLDS`.
+        name: Name of the world.
         seed: Seed of layout, textures and light.
         light_seed: Seed of other light, by default the light that belongs to the layout.
 
     Raises:
-        ConfigError: The world is unknown.
+        ConfigError: The world is unknown, or its file is damaged.
     """
-    require_world(name)
-    layout, appearance = _painted(name, seed, seed, light_seed)
+    layout, appearance = _painted(resolved_world(name), seed, seed, light_seed)
     foliage = len(layout.prints)
     cut = cut_pages(appearance.pages[:foliage], layout.low, layout.high)
     meshes = drawn_pages([*(page for page in cut if len(page.vertices)), *appearance.pages[foliage:]])
@@ -254,15 +299,14 @@ def moving_scenery(
     """Return the moving objects of a world, each with its surfaces in the frame of its body.
 
     Args:
-        name: A key of `WORLDS`.
+        name: Name of the world.
         seed: Seed of layout, textures and light.
         light_seed: Seed of other light, by default the light that belongs to the layout.
 
     Raises:
-        ConfigError: The world is unknown.
+        ConfigError: The world is unknown, or its file is damaged.
     """
-    require_world(name)
-    layout, appearance = _painted(name, seed, seed, light_seed)
+    layout, appearance = _painted(resolved_world(name), seed, seed, light_seed)
     surfaces = (drawn_pages(pages, MAX_PIXELS // 10) for pages in appearance.moving_pages)
     return tuple(zip(_movers(layout), surfaces, strict=True))
 
@@ -272,21 +316,11 @@ def _movers(layout: Layout) -> tuple[Mover, ...]:
     return tuple(Mover(thing.name, thing.poses) for thing in layout.moving)
 
 
-def require_world(name: str) -> None:
-    """Check the name of a world.
-
-    Raises:
-        ConfigError: There is no world of that name.
-    """
-    if name not in WORLDS:
-        raise unknown_name("world", name, WORLDS)
-
-
 @lru_cache(maxsize=2)
 def _painted(name: str, seed: int, texture_seed: int, light_seed: int | None = None) -> tuple[Layout, Appearance]:
     """Return layout and appearance of a world; cached, since painting takes seconds."""
     drawing, paint = _generators(seed)[0], _generators(texture_seed)[1]
-    layout = drawn_layout(WORLDS[name], drawing, _light(light_seed))
+    layout = drawn_layout(world_builder(name), drawing, _light(light_seed))
     surfaces = seen_surfaces(layout)
     standing = len(surfaces) - (layout.mirror is not None)
     faces, floor = surfaces[:standing], surfaces[standing:]

@@ -8,6 +8,7 @@ for the viewer. ``apt-get install chromium mesa-vulkan-drivers`` installs both o
 
 import hashlib
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -57,6 +58,7 @@ TAKE_OFF_S = 3.1
 TAKE_OFF_PX = (960, 600)
 ROOM_PX, ROOM_SHARE = 1504, 2 / 3  # the two upper rows of the contact sheet
 WORLDS_PX, WORLDS_QUALITY = 1240, 84
+OWN_WORLD_VIEWS = 8
 WORLDS_SHOWN = tuple(name for name in WORLDS if not name.startswith("office-"))  # whose variants look alike
 ESTIMATOR_S = 12.0  # time of the flight that is shown
 VIEWER_TIMEOUT_S = 60.0
@@ -204,6 +206,21 @@ def save_worlds() -> None:
     save("worlds.jpg", resized(sheet, WORLDS_PX), WORLDS_QUALITY)
 
 
+def save_own_world() -> None:
+    """Save the picture of the world that a page describes, from several viewpoints.
+
+    Raises:
+        ValueError: The page does not describe it any more.
+    """
+    page = (IMAGES.parent / "how-to" / "own-world.md").read_text(encoding="utf-8")
+    [text] = re.findall(r"The file `yard.yaml`:\n\n```yaml\n(.*?)^```$", page, re.M | re.S)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "yard.yaml"
+        path.write_text(text, encoding="utf-8")
+        sheet = contact_sheet(views(build_world(str(path), 3), OWN_WORLD_VIEWS))
+    save("own-world.jpg", resized(sheet, WORLDS_PX), WORLDS_QUALITY)
+
+
 def make_pictures(scratch: Path, shown: Path | None) -> None:
     """Run the commands, save all pictures, and record what they show.
 
@@ -229,6 +246,7 @@ def make_pictures(scratch: Path, shown: Path | None) -> None:
     rows = sheet[: int(ROOM_SHARE * len(sheet))]
     save("room.jpg", resized(rows, ROOM_PX))
     save_worlds()
+    save_own_world()
     flight = scratch / "medium"
     main(["fly", "--scenario", "room-medium", "--rig", "euroc-stereo", "--out", str(flight)])
     draw_estimator(flight, scratch / "estimator.png")
@@ -270,6 +288,7 @@ if __name__ == "__main__":
     given = tyro.cli(PicturesCommand, description=__doc__)
     if given.worlds:
         save_worlds()
+        save_own_world()
         record_hashes()
         sys.exit()
     with tempfile.TemporaryDirectory(prefix="dronevio-") as folder:

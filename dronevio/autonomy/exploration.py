@@ -42,7 +42,8 @@ from dronevio.sim.flight import Flight
 from dronevio.sim.paths.plan import FlightPlan
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.scenarios import SCENARIOS, scenario_named
-from dronevio.sim.world import WORLDS, flight_area, solid_space
+from dronevio.sim.world import WORLDS, flight_area, resolved_world, solid_space
+from dronevio.sim.worlds.own.names import FORMS, file_stem, is_file, is_python
 
 TaskName = Literal["reach", "cover"]
 """What a flight is for."""
@@ -133,18 +134,21 @@ def exploration_scenario(name: str, seed: int = 0, rig: str = RIG) -> Scenario:
     """Return a scenario to explore: that of a world, or a scenario by its name, of which the plan is not flown.
 
     Args:
-        name: Name of a world or of a scenario.
+        name: Name of a world, see `dronevio.sim.world.resolved_world`, or of a scenario.
         seed: Seed of the world, the goal and the errors of the sensors.
         rig: Sensors; see `rig_named`.
 
     Raises:
         ConfigError: There is neither such a world nor such a scenario.
     """
-    if name in WORLDS:
-        plan = FlightPlan(shape="tour")
-        return Scenario(f"explore-{name}-v0", f"a flight through {name}", plan, name, rig_named(rig), seed=seed)
+    if name in WORLDS or is_file(name) or is_python(name):
+        plan, stem = FlightPlan(shape="tour"), file_stem(name)
+        world = resolved_world(name)
+        return Scenario(f"explore-{stem}-v0", f"a flight through {stem}", plan, world, rig_named(rig), seed=seed)
     if name not in SCENARIOS and f"{name}-v0" not in SCENARIOS:
-        raise ConfigError(f"{name!r} to explore; expected a scenario or one of the worlds {', '.join(WORLDS)}")
+        raise ConfigError(
+            f"{name!r} to explore; expected a scenario or one of the worlds {', '.join((*WORLDS, *FORMS))}"
+        )
     return replace(scenario_named(name, seed), rig=rig_named(rig))
 
 

@@ -74,7 +74,7 @@ def document(exploration: Exploration, flight: ExploredFlight) -> dict[str, obje
     return {
         "scenario": e.scenario.name,
         "seed": e.scenario.seed,
-        "world": e.scenario.world,
+        "world": e.scenario.recorded.world,
         "pad_m": flight.pad_m.tolist(),
         "goal_m": None if e.goal_m is None else e.goal_m.tolist(),
         **scores,

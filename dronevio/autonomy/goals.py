@@ -14,7 +14,8 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.occupancy import FREE, DistanceField, OccupancyGrid
 from dronevio.sim.paths.space import Space
 from dronevio.sim.streams import generator
-from dronevio.sim.world import flight_area, solid_space
+from dronevio.sim.world import flight_area, resolved_world, solid_space
+from dronevio.sim.worlds.own.names import shown_world
 
 HOVER_M = 1.2
 """Height above the landing pad at which a flight begins and the sight of the goal is blocked [m]."""
@@ -56,6 +57,7 @@ def drawn_goal(world: str, world_seed: int, seed: int, body: Body = _BODY) -> Ar
     Raises:
         ConfigError: The world is unknown, or none of 300 draws is such a goal.
     """
+    world = resolved_world(world)
     start, space = flight_area(world, world_seed).pad + [0.0, 0.0, HOVER_M], solid_space(world, world_seed)
     room = _true_room(world, world_seed, body)
     is_open = world in OPEN_WORLDS
@@ -70,9 +72,9 @@ def drawn_goal(world: str, world_seed: int, seed: int, body: Body = _BODY) -> Ar
         if least_m <= room.shortest_m(start, goal) <= greatest_m:
             return np.asarray(goal)
     raise ConfigError(
-        f"world {world} of seed {world_seed} has no goal behind obstacles: none of {min(_DRAWS, len(places))} places"
-        f" that the drone reaches is out of sight, {GOAL_CLEARANCE_M:g} m from all solids and {least_m:g} to"
-        f" {greatest_m:g} m away"
+        f"world {shown_world(world)} of seed {world_seed} has no goal behind obstacles: none of"
+        f" {min(_DRAWS, len(places))} places that the drone reaches is out of sight, {GOAL_CLEARANCE_M:g} m from all"
+        f" solids and {least_m:g} to {greatest_m:g} m away"
     )
 
 
@@ -103,7 +105,7 @@ def shortest_m(grid: OccupancyGrid, start: Array, goal: Array, body: Body = _BOD
 
 def reachable_places(world: str, world_seed: int, start: Array, body: Body = _BODY) -> Array:
     """Return the centres (N, 3) of the cells of the true map that a body reaches from a point (3,) of the world [m]."""
-    return _true_room(world, world_seed, body).reached(start)
+    return _true_room(resolved_world(world), world_seed, body).reached(start)
 
 
 @dataclass(frozen=True, eq=False)

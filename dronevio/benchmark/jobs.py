@@ -289,7 +289,7 @@ def _find_revisits(recording: Path, keyframe_times_ns: Times) -> "FlightRevisits
 
 def _flight(flown: "Scenario") -> RecordingSpec:
     """Return the flight of a scenario, with the hash of everything that determines its recording."""
-    return RecordingSpec(flown.name, flown.world, flown.seed, _recording_hash(flown), flown)
+    return RecordingSpec(flown.name, flown.recorded.world, flown.seed, _recording_hash(flown), flown)
 
 
 def _recording_hash(flown: "Scenario") -> str:

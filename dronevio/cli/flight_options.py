@@ -105,7 +105,8 @@ class FlightOptions(Settings):
     reverse: bool = False
     """Fly the tour in the opposite direction."""
     world: str | None = None
-    """World that replaces the one of the scenario; `dronevio worlds` lists them."""
+    """World that replaces the one of the scenario; `dronevio worlds` lists them. A world of your own is a file,
+    such as yard.yaml or yard.xml (MJCF), or python:package.module:NAME."""
     vehicle: str | None = None
     """Vehicle that replaces the one of the scenario: research (1.5 kg) or nano (30 g)."""
     rig: str | None = None
@@ -160,15 +161,13 @@ class FlightOptions(Settings):
         from dronevio.recording.recorder import rig_of
         from dronevio.sim.cameras.imaging import image_sensor_named
         from dronevio.sim.scenarios import scenario_named
-        from dronevio.sim.world import require_world
+        from dronevio.sim.world import resolved_world
 
         base = scenario_named(self.scenario, self.seed)
-        if self.world is not None:
-            require_world(self.world)
         rig = base.rig if self.rig is None else rig_of(self.rig)
         return replace(
             base,
-            world=self.world or base.world,
+            world=base.world if self.world is None else resolved_world(self.world),
             world_seed=self.world_seed,
             light_seed=self.light_seed,
             reverse=self.reverse,

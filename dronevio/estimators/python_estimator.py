@@ -3,48 +3,28 @@
 The module is imported from the installed packages or, if it is not there, from the current folder.
 """
 
-import importlib
 import importlib.util
-import re
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 from dronevio.eval.benchmark.cache import code_hash
 from dronevio.models.errors import ConfigError
 from dronevio.models.protocols import Estimator
+from dronevio.models.python_names import PythonName, search_here
 from dronevio.models.rig import Rig
 
-PREFIX = "python:"
-"""Prefix of an estimator that is a class of the user."""
 METHODS = ("add_imu", "add_frame")
 """Methods of `Estimator` that a benchmark calls."""
 
 
 @dataclass(frozen=True)
-class PythonEstimator:
+class PythonEstimator(PythonName):
     """A class, or another callable, that returns an estimator for a rig."""
 
-    module: str
-    """Dotted name of the module."""
-    name: str
-    """Name of the class in the module."""
-
-    @classmethod
-    def parse(cls, text: str) -> "PythonEstimator":
-        """Return the class that a text names.
-
-        Args:
-            text: ``python:package.module:Class``.
-
-        Raises:
-            ConfigError: The text has another form.
-        """
-        module, _, name = text.removeprefix(PREFIX).partition(":")
-        if not (re.fullmatch(r"\w+(\.\w+)*", module) and name.isidentifier()):
-            raise ConfigError(f"estimator {text!r}; expected {PREFIX}package.module:Class")
-        return cls(module, name)
+    what: ClassVar[str] = "estimator"
+    form: ClassVar[str] = "Class"
 
     def load(self) -> Callable[[Rig], Estimator]:
         """Return the class; the module is imported.
@@ -52,15 +32,7 @@ class PythonEstimator:
         Raises:
             ConfigError: The module cannot be imported, or has no such class with the methods of an estimator.
         """
-        _search_here()
-        try:
-            module = importlib.import_module(self.module)
-        except Exception as error:  # whatever the module of the user raises
-            reason = f"{type(error).__name__}: {error}"
-            raise ConfigError(
-                f"estimator {self}: cannot import {self.module}: {reason}; expected a module that is installed or is in"
-                f" {Path.cwd()}"
-            ) from error
+        module = self.imported_module()
         factory = getattr(module, self.name, None)
         if not callable(factory):
             raise ConfigError(f"estimator {self}: {self.module} has no class {self.name}")
@@ -86,7 +58,7 @@ class PythonEstimator:
             ConfigError: There is no such module.
         """
         top = self.module.partition(".")[0]
-        _search_here()
+        search_here()
         spec = importlib.util.find_spec(top)
         if spec is None:
             raise ConfigError(f"estimator {self}: no module {top}; expected one that is installed or in {Path.cwd()}")
@@ -103,15 +75,3 @@ class PythonEstimator:
         missing = [method for method in METHODS if not callable(getattr(estimator, method, None))]
         if missing:
             raise ConfigError(f"estimator {self} without {' and '.join(missing)}; expected the methods of Estimator")
-
-    def __str__(self) -> str:
-        """Return the text that names the class."""
-        return f"{PREFIX}{self.module}:{self.name}"
-
-
-def _search_here() -> None:
-    """Let modules of the current folder be found, after those that are installed, until the process ends."""
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)
-    importlib.invalidate_caches()

@@ -2,7 +2,6 @@
 
 import json
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 
 from dronevio.models.errors import ConfigError, IncompleteError
@@ -30,6 +29,7 @@ from dronevio.sim.rendering.render_job import RenderJob
 from dronevio.sim.rendering.truth_images import TruthImage
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.world import scenery_of
+from dronevio.sim.worlds.own.names import recorded_world
 
 
 def record_flight(
@@ -185,7 +185,12 @@ def record_refly(
         truth_images,
         flown.T_simworld_world,
     )
-    settings = {"world": flown.world, "seed": seed, "rig": flown.rig, "T_simworld_world": flown.T_simworld_world}
+    settings = {
+        "world": recorded_world(flown.world),
+        "seed": seed,
+        "rig": flown.rig,
+        "T_simworld_world": flown.T_simworld_world,
+    }
     settings["imaging"] = job.imaging
     _write_settings(folder, {"refly": {**settings, "real_imu": flown.real_imu}})
     write_euroc(folder, flown.rig, flown.imu, flown.truth, flown.schedule.stamps_ns)
@@ -214,8 +219,7 @@ def rig_of(name_or_file: str) -> Rig:
 
 def _settings(scenario: Scenario, flight: Flight) -> dict[str, object]:
     """Return the settings of a simulated flight, with what the simulator has drawn or taken as constant."""
-    stated = replace(scenario, world_seed=scenario.seed_of_world)
-    return {"scenario": stated, "imu_constants": flight.imu_constants, "gravity_m_s2": GRAVITY_M_S2}
+    return {"scenario": scenario.recorded, "imu_constants": flight.imu_constants, "gravity_m_s2": GRAVITY_M_S2}
 
 
 def _write_settings(folder: Path, settings: dict[str, object]) -> None:

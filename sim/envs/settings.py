@@ -28,6 +28,7 @@ from dronevio.sim.envs.sensing.ray_maps import MapSettings
 from dronevio.sim.envs.sensing.world_objects import WorldObjects, world_objects
 from dronevio.sim.envs.tasks import AnyTask, Hover, task_named
 from dronevio.sim.physics.wind import CALM, Wind
+from dronevio.sim.world import resolved_world
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,8 @@ class EnvironmentSettings(Settings):
     """Task, or its name: ``hover``, ``waypoints``, ``track``, ``race``, ``navigate``, ``explore``, ``vio-hover``
     or ``vio-navigate``."""
     world: str = ""
-    """Name of the world; that of the task by default. ``dronevio worlds`` lists all."""
+    """Name of the world; that of the task by default. ``dronevio worlds`` lists all. A world of one's own is a file,
+    such as ``yard.yaml`` or ``yard.xml`` (MJCF), or ``python:package.module:NAME``."""
     world_seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the layout of the world, and of its textures unless they are randomized."""
     vehicle: Quadrotor = RESEARCH
@@ -278,7 +280,7 @@ def settings_of(
     action_rate_hz = others.pop("action_rate_hz", 50.0)
     return EnvironmentSettings(
         task=chosen,
-        world=others.pop("world", "") or chosen.world,
+        world=resolved_world(others.pop("world", "") or chosen.world),
         vehicle=vehicle_named(vehicle) if isinstance(vehicle, str) else vehicle,
         rig=replace(rig, imu=replace(rig.imu, rate_hz=imu_rate_hz)),
         action=others.pop("action", "") or chosen.default_action,

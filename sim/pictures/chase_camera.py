@@ -12,7 +12,7 @@ from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.sim.cameras.gl import Context, create_context, free, is_usable, make_current
 from dronevio.sim.physics.vehicle import quadrotor_spec
 from dronevio.sim.rendering.shared import Lease, SharedPool
-from dronevio.sim.world import World, build_world
+from dronevio.sim.world import World, build_world, resolved_world
 
 _DISTANCE_ARMS, _AZIMUTH_DEG, _ELEVATION_DEG = 8.5, 60.0, -20.0
 _MARKERS_MAX = 16
@@ -119,5 +119,6 @@ def lease_chase_camera(world: str, seed: int, quadrotor: Quadrotor, rig: Rig) ->
         ConfigError: The world is unknown.
         GraphicsError: Off-screen OpenGL is not available.
     """
+    world = resolved_world(world)
     key = (world, seed, quadrotor_spec(quadrotor, rig).to_xml())
     return CHASE_CAMERAS.lease(key, lambda: ChaseCamera(build_world(world, seed), quadrotor, rig))

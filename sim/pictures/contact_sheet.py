@@ -13,7 +13,8 @@ from dronevio.models.rotation import exp_so3, rotation_z
 from dronevio.sim.appearance.textures import to_image
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.pictures.texturedness import poses_along
-from dronevio.sim.world import WORLDS, World
+from dronevio.sim.world import World, world_builder
+from dronevio.sim.worlds.own.names import shown_world
 
 LENS = CameraModel(width=480, height=300, fx=250.0, fy=250.0, cx=239.5, cy=149.5)
 """Camera of the pictures: 88° wide, without distortion."""
@@ -116,11 +117,12 @@ def _framed(picture: Image) -> Image:
 def _block(name: str, pictures: Sequence[Image]) -> Image:
     """Return the pictures of a world side by side under its name and description."""
     strip = np.hstack([_framed(picture) for picture in pictures])
+    title = shown_world(name)
     caption = np.full((_CAPTION_PX, strip.shape[1], 3), _PAPER, np.uint8)
     font, base = cv2.FONT_HERSHEY_SIMPLEX, _CAPTION_PX - 9
-    cv2.putText(caption, name, (_GAP_PX + 2, base), font, 0.75, _INK, 2, cv2.LINE_AA)
-    (width, _), _ = cv2.getTextSize(name, font, 0.75, 2)
-    builder = WORLDS[name]
+    cv2.putText(caption, title, (_GAP_PX + 2, base), font, 0.75, _INK, 2, cv2.LINE_AA)
+    (width, _), _ = cv2.getTextSize(title, font, 0.75, 2)
+    builder = world_builder(name)
     words = builder.description if builder.difficulty == "normal" else f"{builder.description} ({builder.difficulty})"
     cv2.putText(caption, words, (_GAP_PX + width + 18, base), font, 0.52, _FAINT, 1, cv2.LINE_AA)
     return np.asarray(np.vstack([caption, strip]), dtype=np.uint8)

@@ -16,12 +16,12 @@ import numpy as np
 
 from dronevio.models.arrays import Image
 from dronevio.models.camera import CameraModel
-from dronevio.models.errors import unknown_name
 from dronevio.models.progress import Progress, silent
 from dronevio.sim.pictures.contact_sheet import taken_views
 from dronevio.sim.rendering import world_files
 from dronevio.sim.rendering.worker_pool import default_workers, run_tasks
-from dronevio.sim.world import WORLDS, build_world
+from dronevio.sim.world import build_world, resolved_world
+from dronevio.sim.worlds.own.names import file_stem, is_python
 
 FILES_MAX = 48
 """Number of files that are kept, each of 1 to 4 MB."""
@@ -54,7 +54,7 @@ class PictureTask:
             for picture in taken_views(build_world(name, self.seed), self.count, self.camera):
                 pictures.append(picture)
                 yield
-            (self.folder / f"{name}.png").write_bytes(cv2.imencode(".png", np.vstack(pictures))[1].tobytes())
+            (self.folder / f"{file_stem(name)}.png").write_bytes(cv2.imencode(".png", np.vstack(pictures))[1].tobytes())
 
 
 def pictures_of_worlds(
@@ -79,10 +79,8 @@ def pictures_of_worlds(
         ConfigError: A world is unknown.
         GraphicsError: There is no off-screen OpenGL.
     """
-    for name in names:
-        if name not in WORLDS:
-            raise unknown_name("world", name, WORLDS)
-    files = {name: _file(f"{name} {seed} {count} {camera}") for name in names}
+    names = [resolved_world(name) for name in names]
+    files = {name: None if is_python(name) else _file(f"{name} {seed} {count} {camera}") for name in names}
     by_world = {name: _read(file, count, camera) for name, file in files.items()}
     missing = [name for name, pictures in by_world.items() if pictures is None]
     if missing:
@@ -92,8 +90,8 @@ def pictures_of_worlds(
             tasks = [PictureTask(tuple(missing[k::shares]), seed, count, camera, folder) for k in range(shares)]
             run_tasks(tasks, len(missing) * count, progress)
             for name in missing:
-                by_world[name] = _read(folder / f"{name}.png", count, camera)
-                _store(folder / f"{name}.png", files[name])
+                by_world[name] = _read(folder / f"{file_stem(name)}.png", count, camera)
+                _store(folder / f"{file_stem(name)}.png", files[name])
     return [pictures for name in names if (pictures := by_world[name]) is not None]
 
 

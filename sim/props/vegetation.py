@@ -178,7 +178,8 @@ def log(rng: Random, radius_m: float, length_m: float, kind: int) -> Vegetation:
     return whole.moved(lie, lift).moved(rotation_z(rng.uniform(0.0, np.pi)), np.zeros(3))
 
 
-_PLATE_M = 0.02  # thickness of the plates of irregular objects
+PLATE_M = 0.02
+"""Thickness of the plates of irregular objects [m]."""
 
 
 def plates(corners: Array, along: Array, share: float = 1.0, depth_m: float = 0.0) -> tuple[Box, ...]:
@@ -199,7 +200,7 @@ def plates(corners: Array, along: Array, share: float = 1.0, depth_m: float = 0.
     middle = 0.5 * (low + high)
     middle[:, 2] = inside[..., 2].mean(axis=1) - depth_m
     half = 0.5 * share * (high - low)
-    half[:, 2] = 0.5 * _PLATE_M
+    half[:, 2] = 0.5 * PLATE_M
     places = np.einsum("fij,fj->fi", R, middle)
     return tuple(Box(at, size, UNPAINTED, R=turn) for at, size, turn in zip(places, half, R, strict=True))
 
@@ -224,7 +225,7 @@ def boulder(rng: Random, half: Array) -> tuple[Array, Box]:
 def boulder_filling(grid: Array, box: Box) -> tuple[Box, ...]:
     """Return shell and core of a boulder, given its surface (R + 1, C + 1, 3) [m] and its bounding box."""
     cells = quads_of(grid)
-    shell = plates(cells, cells[:, 1] + cells[:, 2] - cells[:, 0] - cells[:, 3], depth_m=0.5 * _PLATE_M)
+    shell = plates(cells, cells[:, 1] + cells[:, 2] - cells[:, 0] - cells[:, 3], depth_m=0.5 * PLATE_M)
     return (*shell, replace(box, half=0.5 * box.half))
 
 

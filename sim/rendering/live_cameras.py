@@ -60,7 +60,7 @@ class LiveCameras:
 
         Args:
             rig: The true rig.
-            world: Name of the world, a key of `dronevio.sim.world.WORLDS`.
+            world: Name of the world; see `dronevio.sim.world.resolved_world`.
             seed: Seed of the world.
             imaging: Exposure control and noise of the image sensors.
             texture_seed: Seed of the textures, by default that of the world.

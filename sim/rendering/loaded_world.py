@@ -1,6 +1,6 @@
 """Loaded worlds: compiled worlds in graphics memory, which the environments of a process share."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import mujoco
@@ -8,7 +8,8 @@ import mujoco
 from dronevio.sim.cameras.atlas_renderer import RenderContext
 from dronevio.sim.rendering.shared import Lease, SharedPool
 from dronevio.sim.rendering.world_files import compiled
-from dronevio.sim.world import Mover, build_world, illumination_and_movers, instance_spec
+from dronevio.sim.world import Mover, build_world, illumination_and_movers, instance_spec, resolved_world
+from dronevio.sim.worlds.own.names import is_file, is_python
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,8 @@ def lease_world(key: WorldKey, grey: bool = False) -> Lease[LoadedWorld]:
         ConfigError: The world is unknown.
         GraphicsError: Off-screen OpenGL is not available.
     """
+    if is_file(key.name) or is_python(key.name):  # a file may change
+        key = replace(key, name=resolved_world(key.name))
     return LOADED_WORLDS.lease((key, grey), partial(_loaded, key, grey))
 
 
@@ -78,16 +81,22 @@ def lease_instances(name: str, seed: int) -> Lease[LoadedWorld]:
         ConfigError: The world is unknown.
         GraphicsError: Off-screen OpenGL is not available.
     """
+    name = resolved_world(name)
     return LOADED_WORLDS.lease(("instances", name, seed), partial(_loaded_instances, name, seed))
 
 
-@lru_cache(maxsize=4)
 def instance_model(name: str, seed: int) -> mujoco.MjModel:
     """Return the compiled model of a world without textures, with one geom for each object instance.
 
     Raises:
         ConfigError: The world is unknown.
     """
+    return _instance_model(resolved_world(name), seed)
+
+
+@lru_cache(maxsize=4)
+def _instance_model(name: str, seed: int) -> mujoco.MjModel:
+    """Return the model of a world by its resolved name."""
     spec = instance_spec(name, seed)
     _shrink_frame_buffer(spec)
     return spec.compile()
@@ -109,7 +118,8 @@ def _loaded(key: WorldKey, grey: bool) -> LoadedWorld:
 @lru_cache(maxsize=2)
 def _compiled(key: WorldKey) -> tuple[mujoco.MjModel, float, tuple[Mover, ...]]:
     """Return the compiled model of a world, its illumination and its moving objects."""
-    return compiled(repr(key), partial(_built, key)), *illumination_and_movers(key.name, key.seed, key.light_seed)
+    model = _built(key) if is_python(key.name) else compiled(repr(key), partial(_built, key))  # its imports are unknown
+    return model, *illumination_and_movers(key.name, key.seed, key.light_seed)
 
 
 def _built(key: WorldKey) -> mujoco.MjModel:

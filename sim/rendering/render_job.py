@@ -21,7 +21,7 @@ class RenderJob:
     """Complete description of the frames of a recording: the same job gives the same bytes."""
 
     world: str
-    """Name of the world, a key of `dronevio.sim.world.WORLDS`."""
+    """Name of the world; see `dronevio.sim.world.resolved_world`."""
     seed: int
     """Seed of the noise of the image sensors, and of the world."""
     rig: Rig

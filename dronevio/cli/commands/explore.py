@@ -70,7 +70,8 @@ class ExploreCommand(Settings):
 
     scenario: str = "office"
     """World, or a scenario whose world, vehicle, wind and faults are taken; `dronevio worlds` and `dronevio scenarios`
-    list them."""
+    list them. A world of your own is a file, such as yard.yaml or yard.xml (MJCF), or
+    python:package.module:NAME."""
     seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the world, the goal and the errors of the sensors."""
     task: Literal["reach", "cover"] = "reach"
@@ -237,7 +238,7 @@ def _provenance(
     scenario = exploration.scenario
     configuration = {
         "dronevio": __version__,
-        "scenario": to_jsonable(replace(scenario, world_seed=scenario.seed_of_world)),
+        "scenario": to_jsonable(scenario.recorded),
         "task": command.task,
         "goal_m": to_jsonable(exploration.goal_m),
         "time_s": command.time_s,

@@ -33,7 +33,8 @@ class ReflyCommand(Settings):
     """Recorded IMU samples that belong to the trajectory, an EuRoC imu0/data.csv. Without it, samples are
     synthesized."""
     world: str = "room"
-    """World that is placed around the trajectory; `dronevio worlds` lists them."""
+    """World that is placed around the trajectory; `dronevio worlds` lists them. A world of your own is a file,
+    such as yard.yaml or yard.xml (MJCF), or python:package.module:NAME."""
     rig: str = "euroc"
     """Sensors: a name such as euroc-stereo, a Kalibr camchain.yaml, or an EuRoC folder with sensor.yaml files."""
     image_sensor: str = "standard"
@@ -66,13 +67,14 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.sim.cameras.gl import require_gl
     from dronevio.sim.cameras.imaging import image_sensor_named
     from dronevio.sim.refly import cut, refly
+    from dronevio.sim.worlds.own.names import file_stem, recorded_world, shown_world
 
     imaging = image_sensor_named(command.image_sensor)
     path = cut(read_trajectory_file(command.trajectory), command.start_s, command.duration_s)
     imu = None if command.imu is None else read_imu(command.imu)
     flown = refly(path, imu, rig_of(command.rig), command.world, command.seed, command.margin_m)
     name = flight_name(command.trajectory)
-    target = command.out or Path("recordings") / f"{name}-{command.world}-{command.seed}"
+    target = command.out or Path("recordings") / f"{name}-{file_stem(command.world)}-{command.seed}"
     require_gl()
     with atomic_folder(target, command.output.overwrite) as folder, progress_bars(quiet=command.output.json) as bars:
         record_refly(flown, command.seed, folder, bars.bar("rendering"), imaging=imaging)
@@ -86,10 +88,10 @@ def main(arguments: Sequence[str]) -> int:
         "imu": "real" if flown.real_imu else "synthesized",
     }
     if command.output.json:
-        print_json({"recording": str(target), "world": command.world, "seed": command.seed, **figures})
+        print_json({"recording": str(target), "world": recorded_world(flown.world), "seed": command.seed, **figures})
         return 0
     print_values(
-        f"{name} in {command.world}, seed {command.seed}",
+        f"{name} in {shown_world(command.world)}, seed {command.seed}",
         (
             ("duration", f"{figures['duration_s']:.1f}", "s"),
             ("length of the path", f"{figures['path_m']:.1f}", "m"),

@@ -4,7 +4,7 @@ import json
 import shlex
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -240,7 +240,7 @@ def _configuration(scenario: "Scenario", command: RunCommand, mission: "PolicyMi
 
     return {
         "dronevio": __version__,
-        "scenario": to_jsonable(replace(scenario, world_seed=scenario.seed_of_world)),
+        "scenario": to_jsonable(scenario.recorded),
         "estimator": to_jsonable(command.estimator),
         "slam": to_jsonable(command.map) if command.slam else None,
         "fly_on": command.fly_on,

@@ -21,12 +21,14 @@ class WorldsCommand(Settings):
       dronevio worlds --json
       dronevio worlds --sheet worlds.png
       dronevio worlds --sheet forest.jpg --world forest --seed 3
+      dronevio worlds --sheet yard.png --world yard.yaml
     """
 
     sheet: Path | None = None
     """Image file for a contact sheet of the worlds; its suffix selects the format."""
     world: str | None = None
-    """Name of one world; all worlds by default."""
+    """Name of one world, or a world of your own: a file, such as yard.yaml or yard.xml (MJCF), or
+    python:package.module:NAME; all worlds of the package by default."""
     seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed from which the worlds are generated."""
     printing: Printing = field(default_factory=PrintOptions)
@@ -39,22 +41,28 @@ def main(arguments: Sequence[str]) -> int:
 
     from dronevio.models.errors import ConfigError
     from dronevio.sim.pictures.contact_sheet import require_picture
-    from dronevio.sim.world import WORLDS, flight_area
+    from dronevio.sim.world import WORLDS, flight_area, resolved_world, world_builder
+    from dronevio.sim.worlds.own.names import recorded_world, shown_world
 
     if command.seed < 0:
         raise ConfigError(f"seed {command.seed}; expected 0 or more")
-    names = tuple(WORLDS) if command.world is None else (command.world,)
+    names = tuple(WORLDS) if command.world is None else (resolved_world(command.world),)
     if command.sheet is not None:
         require_picture(command.sheet)
     rows = []
     for name in names:
         place = flight_area(name, command.seed)
-        rows.append((WORLDS[name], [round(float(v), 2) for v in place.space.high - place.space.low]))
+        rows.append((world_builder(name), [round(float(v), 2) for v in place.space.high - place.space.low]))
     if command.sheet is not None:
         _draw(command.sheet, names, command.seed, command.printing.json)
     if command.printing.json:
         worlds = [
-            {"name": name, "difficulty": kind.difficulty, "size_m": size_m, "description": kind.description}
+            {
+                "name": recorded_world(name),
+                "difficulty": kind.difficulty,
+                "size_m": size_m,
+                "description": kind.description,
+            }
             for name, (kind, size_m) in zip(names, rows, strict=True)
         ]
         sheet = None if command.sheet is None else str(command.sheet)
@@ -64,7 +72,7 @@ def main(arguments: Sequence[str]) -> int:
         f"Worlds of seed {command.seed}: length, width and height of the free space",
         ("name", "difficulty", "m", "description"),
         [
-            (name, kind.difficulty, " × ".join(f"{v:g}" for v in size_m), kind.description)
+            (shown_world(name), kind.difficulty, " × ".join(f"{v:g}" for v in size_m), kind.description)
             for name, (kind, size_m) in zip(names, rows, strict=True)
         ],
         left=("difficulty", "m", "description"),

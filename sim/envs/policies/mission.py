@@ -19,7 +19,7 @@ from dronevio.sim.paths.plan import TIMED_WAYPOINTS, FlightPlan
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import VehicleStates
 from dronevio.sim.scenario import Scenario
-from dronevio.sim.world import flight_area
+from dronevio.sim.world import flight_area, resolved_world
 
 FLOWN_TASKS = ("hover", "waypoints", "race")
 """Tasks that begin with a hover above the landing pad, and can therefore be flown after a take-off."""
@@ -73,7 +73,7 @@ def policy_mission(
     task = TASKS[name]
     if isinstance(task, Race):
         task = replace(task, on_course=0.0)
-    world = task.world if own_world else base.world
+    world = resolved_world(task.world if own_world else base.world)
     quadrotor = vehicle_named(policy.vehicle) if own_vehicle else base.quadrotor
     plan = FlightPlan(
         initial_rest_s=base.plan.initial_rest_s,

@@ -1,7 +1,6 @@
 """The objects of a world: what the numbers in segmentation images mean."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -43,7 +42,6 @@ class WorldObjects:
         return np.isin(self.kinds, kinds)
 
 
-@lru_cache(maxsize=8)
 def world_objects(world: str, seed: int) -> WorldObjects:
     """Return the objects of a world; the same world and seed give the same numbers.
 

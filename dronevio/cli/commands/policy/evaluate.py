@@ -42,7 +42,8 @@ class EvaluateCommand(Settings):
     randomization: Literal["none", "moderate"] = "none"
     """Distributions of mass, inertia, rotors, drag, wind, latency and sensor errors: none, or moderate ones."""
     world: str | None = None
-    """World that replaces the one of the task; `dronevio worlds` lists them."""
+    """World that replaces the one of the task; `dronevio worlds` lists them. A world of your own is a file,
+    such as yard.yaml or yard.xml (MJCF), or python:package.module:NAME."""
     world_seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the layout of the world, such as the course of a race."""
     printing: Printing = field(default_factory=PrintOptions)
@@ -92,6 +93,9 @@ def main(arguments: Sequence[str]) -> int:
 
 def _document(command: EvaluateCommand, results: Mapping[Path, "PolicyEvaluation"]) -> dict[str, Any]:
     """Return the figures of policies by their paths, of types that JSON can represent."""
+    from dronevio.sim.world import resolved_world
+    from dronevio.sim.worlds.own.names import recorded_world
+
     policies = [
         {"policy": str(path), "environment": result.environment, **result.figures(), "ends": result.counts()}
         for path, result in results.items()
@@ -100,7 +104,7 @@ def _document(command: EvaluateCommand, results: Mapping[Path, "PolicyEvaluation
         "episodes": command.episodes,
         "seed": command.seed,
         "randomization": command.randomization,
-        "world": command.world,
+        "world": None if command.world is None else recorded_world(resolved_world(command.world)),
         "world_seed": command.world_seed,
         "policies": policies,
     }

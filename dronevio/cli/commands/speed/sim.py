@@ -30,7 +30,7 @@ class SimCommand(Settings):
     """
 
     world: str = "room"
-    """Name of the world; `dronevio worlds` lists them."""
+    """Name of the world, see `dronevio worlds`, or a file of a world of your own, such as yard.yaml."""
     rig: str = "euroc"
     """Name of the sensors, such as euroc-stereo."""
     seed: Annotated[int, Range(0, 2**32 - 1)] = 0
