@@ -17,7 +17,7 @@ from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import pose_matrix, rotation_z
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.paths.space import Space
-from dronevio.sim.physics.batch_plant import BatchPlant
+from dronevio.sim.physics.batch_plant import BatchPlant, PlantWorld
 from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.physics.vehicle_states import VehicleStates
 from dronevio.sim.ray_casting import RayCaster
@@ -253,7 +253,7 @@ def test_other_light_leaves_the_scatter(written: Writer) -> None:
 def test_drones_that_fly_into_obstacles_collide(written: Writer) -> None:
     name = written(YARD)
     spec, rig = collision_spec(name, 0), euroc_rig()
-    plant = BatchPlant(3, rig, surroundings=spec)
+    plant = BatchPlant(3, rig, worlds=[PlantWorld(spec)])
     speeds = plant.quadrotor.hover_speed_rad_s
     starts = np.array([[-4.0, 0.0, 1.2], [-2.0, 0.0, 1.2], [4.0, 0.0, 1.2]])
     velocity = np.tile([0.0, 5.0, 0.0], (3, 1))  # to the cylinder, past everything, to the box
