@@ -99,7 +99,7 @@ class BatchPlant:
         self._rotors = Rotors(self.quadrotor, parameters)
         self.now = PlantState(
             parameters=parameters,
-            rotors=self._rotors.steady_state(np.zeros((count, 4))),
+            rotors=self._rotors.steady_state(np.zeros((count, self.quadrotor.rotor_count))),
             elapsed=np.zeros(count, dtype=np.int64),
             touched=nothing,
             diverged=nothing,
@@ -108,7 +108,8 @@ class BatchPlant:
             samples=PointSamples(np.zeros((count, 3)), np.zeros((count, 3))),
         )
         """State of the vehicles at the current time; in a plant without IMUs, their samples are zeros."""
-        self.reset(~nothing, VehicleStates.at(np.tile([0.0, 0.0, self.standing_height_m], (count, 1))))
+        pads, rotor_count = np.tile([0.0, 0.0, self.standing_height_m], (count, 1)), self.quadrotor.rotor_count
+        self.reset(~nothing, VehicleStates.at(pads, rotors=rotor_count))
 
     @property
     def count(self) -> int:
@@ -211,7 +212,7 @@ class BatchPlant:
             self._rotors = Rotors(self.quadrotor, self.now.parameters)
 
     def advance(self, commands: Array) -> PointSamples:
-        """Apply commands (n, 4) of rotor speeds [rad/s] for one IMU interval, and return the IMU samples at its end."""
+        """Apply commands (n, R) of rotor speeds [rad/s] for one IMU interval, and return the IMU samples at its end."""
         now = self.now
         diverged, finite = now.diverged, np.isfinite(commands)
         if not finite.all():
