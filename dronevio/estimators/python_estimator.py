@@ -3,10 +3,7 @@
 The module is imported from the installed packages or, if it is not there, from the current folder.
 """
 
-import importlib
 import importlib.util
-import re
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +11,9 @@ from pathlib import Path
 from dronevio.eval.benchmark.cache import code_hash
 from dronevio.models.errors import ConfigError
 from dronevio.models.protocols import Estimator
+from dronevio.models.python_objects import PREFIX, PythonObject, search_here
 from dronevio.models.rig import Rig
 
-PREFIX = "python:"
-"""Prefix of an estimator that is a class of the user."""
 METHODS = ("add_imu", "add_frame")
 """Methods of `Estimator` that a benchmark calls."""
 
@@ -41,10 +37,8 @@ class PythonEstimator:
         Raises:
             ConfigError: The text has another form.
         """
-        module, _, name = text.removeprefix(PREFIX).partition(":")
-        if not (re.fullmatch(r"\w+(\.\w+)*", module) and name.isidentifier()):
-            raise ConfigError(f"estimator {text!r}; expected {PREFIX}package.module:Class")
-        return cls(module, name)
+        named = PythonObject.parse("estimator", text, "Class")
+        return cls(named.module, named.name)
 
     def load(self) -> Callable[[Rig], Estimator]:
         """Return the class; the module is imported.
@@ -52,16 +46,7 @@ class PythonEstimator:
         Raises:
             ConfigError: The module cannot be imported, or has no such class with the methods of an estimator.
         """
-        _search_here()
-        try:
-            module = importlib.import_module(self.module)
-        except Exception as error:  # whatever the module of the user raises
-            reason = f"{type(error).__name__}: {error}"
-            raise ConfigError(
-                f"estimator {self}: cannot import {self.module}: {reason}; expected a module that is installed or is in"
-                f" {Path.cwd()}"
-            ) from error
-        factory = getattr(module, self.name, None)
+        factory = PythonObject("estimator", self.module, self.name).load()
         if not callable(factory):
             raise ConfigError(f"estimator {self}: {self.module} has no class {self.name}")
         if isinstance(factory, type):
@@ -86,7 +71,7 @@ class PythonEstimator:
             ConfigError: There is no such module.
         """
         top = self.module.partition(".")[0]
-        _search_here()
+        search_here()
         spec = importlib.util.find_spec(top)
         if spec is None:
             raise ConfigError(f"estimator {self}: no module {top}; expected one that is installed or in {Path.cwd()}")
@@ -107,11 +92,3 @@ class PythonEstimator:
     def __str__(self) -> str:
         """Return the text that names the class."""
         return f"{PREFIX}{self.module}:{self.name}"
-
-
-def _search_here() -> None:
-    """Let modules of the current folder be found, after those that are installed, until the process ends."""
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)
-    importlib.invalidate_caches()

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dronevio.estimators.external_program import OUTPUT, RECORDING, ProgramRun, run_program
-from dronevio.estimators.python_estimator import PREFIX as PYTHON
 from dronevio.estimators.python_estimator import PythonEstimator
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.defects import Defect, refuse_defects
 from dronevio.models.errors import ConfigError, unknown_name
 from dronevio.models.protocols import Estimator
+from dronevio.models.python_objects import PREFIX as PYTHON
 from dronevio.models.rig import Rig
 from dronevio.models.serialization import to_jsonable
 from dronevio.models.state import Trajectory
