@@ -231,7 +231,9 @@ class Quadrotor(Settings):
             found = f"the centre of the rotors is at x = {x:.3g} m, y = {y:.3g} m from the centre of mass"
             raise VehicleError("rotors", found, "0, 0: positions relative to the centre of mass, around it")
         if spins.sum() != 0.0:
-            found = f"{int((spins > 0).sum())} rotors turn anticlockwise (ccw) and {int((spins < 0).sum())} clockwise (cw)"
+            found = (
+                f"{int((spins > 0).sum())} rotors turn anticlockwise (ccw) and {int((spins < 0).sum())} clockwise (cw)"
+            )
             raise VehicleError("rotors", found, "as many of each, so that the vehicle does not turn at hover")
         scaled = np.stack([np.ones(len(spins)), *(places.T / size), spins])
         for axis, without in (("x (roll)", 2), ("y (pitch)", 1), ("z (yaw)", 3)):

@@ -169,4 +169,3 @@ def _check_names(document: YamlDocument) -> None:
     for name in REQUIRED:
         if name not in document:
             raise document.error(name, "a value")
-

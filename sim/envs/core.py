@@ -351,9 +351,10 @@ class DroneCore:
         task, vehicle = self.settings.task, self.settings.vehicle
         states, goals = task.begin(self.area, vehicle, self._rng, count)
         if states.rotor_speed_rad_s.shape[1] != vehicle.rotor_count:
+            given = states.rotor_speed_rad_s.shape[1]
             raise ConfigError(
-                f"{type(task).__name__}.begin returns states of {states.rotor_speed_rad_s.shape[1]} rotors for a vehicle"
-                f" of {vehicle.rotor_count}; expected VehicleStates.at(…, rotors=quadrotor.rotor_count)"
+                f"{type(task).__name__}.begin returns states of {given} rotors for a vehicle with"
+                f" {vehicle.rotor_count}; expected VehicleStates.at(…, rotors=quadrotor.rotor_count)"
             )
         height = np.maximum(states.position_m[:, 2:], self._standing_m)
         return replace(states, position_m=np.hstack([states.position_m[:, :2], height])), goals

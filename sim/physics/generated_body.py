@@ -73,9 +73,7 @@ class _Shapes:
         self.draw(kind, pos, size, rgba)
         self._body.add_geom(name=name, type=kind, pos=pos, size=size, **self._contact)
 
-    def draw(
-        self, kind: mujoco.mjtGeom, pos: Array, size: Array, rgba: tuple[float, float, float, float]
-    ) -> None:
+    def draw(self, kind: mujoco.mjtGeom, pos: Array, size: Array, rgba: tuple[float, float, float, float]) -> None:
         """Add a shape that is drawn only."""
         self._body.add_geom(type=kind, pos=pos, size=size, rgba=rgba, **_DRAWN)
 

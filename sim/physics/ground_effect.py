@@ -28,7 +28,9 @@ class GroundEffect:
         side_m = reach * np.sqrt(nearest)
         self._alike = bool((relative == relative[0]).all())
         """Whether each rotor has the same distances from the others, as in a regular polygon."""
-        distances, counts = np.unique(relative[0], return_counts=True) if self._alike else (relative.T, [1] * len(relative.T))
+        distances, counts = (
+            np.unique(relative[0], return_counts=True) if self._alike else (relative.T, [1] * len(relative.T))
+        )
         self._images = [
             (squared / nearest * side_m * side_m, 0.5 * count) for squared, count in zip(distances, counts, strict=True)
         ]

@@ -173,7 +173,7 @@ class Rotors:
 
 @lru_cache(maxsize=16)
 def _geometry(quadrotor: Quadrotor) -> tuple[Array, Array, Array]:
-    """Return the positions (R, 3) of the hubs [m], the map (3 R, 6) to their velocities, and the directions of rotation.
+    """Return the positions (R, 3) of the hubs [m], the map (3 R, 6) to their velocities, and their directions.
 
     The hubs move with v + Ω × r; forces f there sum up to Σ f and Σ r × f: the same matrix, transposed.
     """
@@ -189,4 +189,3 @@ def _geometry(quadrotor: Quadrotor) -> tuple[Array, Array, Array]:
 def _exp(x: Array | float) -> Array | float:
     """Return the exponential of a number, for which `math.exp` is faster, or of an array."""
     return exp(x) if isinstance(x, float) else np.exp(x)
-

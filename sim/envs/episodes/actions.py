@@ -11,9 +11,10 @@ and rotor speeds are interpolated linearly from 0 (at −1) over hover (at 0) to
 | ``velocity`` | velocity forward, to the left and up in the horizontal frame of the heading, and yaw rate |
 | ``position`` | place along x, y and z of the world from that of the start of the episode, and yaw rate |
 
-The other modes have four numbers for every vehicle. The vehicle frame is x forward, y left, z up. The inner loops of all modes but ``rotors`` run at the rate of the IMU on
-the true state, or on the estimate of an estimator if there is one, with the gains, the disturbance observers and the
-nominal parameters of the controller that flies the scenarios (`dronevio.sim.physics.cascade.Cascade`).
+The other modes have four numbers for every vehicle. The vehicle frame is x forward, y left, z up. The inner loops of
+all modes but ``rotors`` run at the rate of the IMU on the true state, or on the estimate of an estimator if there is
+one, with the gains, the disturbance observers and the nominal parameters of the controller that flies the scenarios
+(`dronevio.sim.physics.cascade.Cascade`).
 """
 
 from collections.abc import Callable

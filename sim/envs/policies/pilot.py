@@ -59,8 +59,8 @@ class PolicyPilot:
             mission: Policy, task, goals and scenario of the flight.
 
         Raises:
-            ConfigError: The policy observes what a drone in flight does not have, or the rate of the IMU of the
-                scenario is no multiple of the rate of the actions.
+            ConfigError: The policy observes what a drone in flight does not have, its actions are not those of the
+                vehicle, or the rate of the IMU of the scenario is no multiple of the rate of the actions.
         """
         policy, rig, quadrotor = mission.policy, mission.scenario.rig, mission.scenario.quadrotor
         for name in policy.names:
@@ -74,12 +74,15 @@ class PolicyPilot:
             )
         self._mission, self._intervals, self._interval_s = mission, round(intervals), 1.0 / rig.imu.rate_hz
         self._mode = action_mode(policy.action_mode, quadrotor, policy.action_limits, self._interval_s)
+        if policy.network.outputs != self._mode.size:
+            raise ConfigError(
+                f"a policy with actions of {policy.network.outputs} numbers for a vehicle with {quadrotor.rotor_count}"
+                f" rotors; expected {self._mode.size}"
+            )
         self._rotors = _RotorModel(quadrotor, self._interval_s)
         self._imu: deque[Array] = deque([np.zeros(6)] * self._intervals, self._intervals)
         self._flown = _Flown(mission.goals, np.zeros((1, self._mode.size)))
-        limits = limits_of(
-            mission.area, self._objective(mission.goals), quadrotor, self._intervals, self._mode.size
-        )
+        limits = limits_of(mission.area, self._objective(mission.goals), quadrotor, self._intervals, self._mode.size)
         self._named = {name: observation_named(name, limits) for name in policy.names}
         self._randomized = RandomizedParameters.nominal(1, mission.scenario.seed)
         self._limits = replace(mission.bounds, box_m=np.array([[-np.inf] * 3, [np.inf] * 3]))
