@@ -229,7 +229,7 @@ def test_an_environment_refuses_a_vehicle_that_cannot_fly() -> None:
 @pytest.mark.parametrize("drone", [HEXA, OCTO, COAXIAL], ids=["hexa", "octo", "coaxial"])
 def test_multirotors_of_several_sizes_take_off_follow_waypoints_and_land(drone: Quadrotor) -> None:
     room = scenario_named("room", 0)
-    plan = replace(room.plan, waypoints=room.plan.waypoints[:3], initial_rest_s=0.5, tour_s=8.0)
+    plan = replace(room.plan, waypoints=room.plan.waypoints[:2], initial_rest_s=0.5, tour_s=5.0)
     flight = fly(replace(room, quadrotor=drone, plan=plan))
     assert flight.collision is None
     truth, reference = flight.truth, flight.reference
