@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from dronevio.cli import main
 from dronevio.cli.flight_options import FlightOptions
 from dronevio.models.quadrotor import NANO
 from dronevio.models.vehicles import read_vehicle
+from dronevio.sim.scenarios import scenario_named
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "own-vehicle.md"
 
@@ -67,11 +69,12 @@ def test_the_other_rotors_of_the_page_are_a_part_of_a_vehicle(hexa: str) -> None
 
 
 def test_scenarios_take_the_vehicle(hexa: str) -> None:
-    assert FlightOptions(scenario="short", vehicle=hexa).chosen().quadrotor == read_vehicle(hexa)
+    options = replace(FlightOptions.of(scenario_named("short")), vehicle=hexa)
+    assert options.chosen().quadrotor == read_vehicle(hexa)
 
 
 @pytest.mark.slow
 def test_a_hexacopter_of_ones_own_runs(hexa: str) -> None:
     assert main(["run", "short", "--vehicle", hexa, "--out", "run", "--json"]) == 0
-    stored = json.loads(next(Path("run").rglob("scenario.json")).read_text(encoding="utf-8"))
+    stored = json.loads(Path("run/configuration.json").read_text(encoding="utf-8"))
     assert stored["scenario"]["quadrotor"]["rotors"] == "hexa-x"
