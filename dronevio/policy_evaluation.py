@@ -17,6 +17,7 @@ from dronevio.models.policies.policy import Policy
 from dronevio.models.progress import Progress, silent
 from dronevio.sim.envs.episodes.endings import Termination
 from dronevio.sim.envs.policies.goal_flight import fly_to_goal
+from dronevio.sim.envs.policies.mission import vehicle_of_policy
 from dronevio.sim.envs.settings import EnvironmentSettings
 
 MOST_AT_ONCE = 256
@@ -100,14 +101,15 @@ def policy_envs(policy: Policy, count: int, *, environment: str = "", **settings
         settings: Further settings of the environments; see `dronevio.sim.envs.EnvironmentSettings`.
 
     Raises:
-        ConfigError: There is no such environment, or it does not have the observations of the policy.
+        ConfigError: There is no such environment or vehicle, or they do not have the observations or actions of the
+            policy.
     """
     name = environment or policy.environment
     _require_registered(name)
     if gymnasium.spec(name).vector_entry_point is None:
         raise ConfigError(f"environment {name!r} without native vectors; expected one that is not flown on an estimate")
     arguments = {
-        "vehicle": policy.vehicle,
+        "vehicle": settings.get("vehicle") or vehicle_of_policy(policy),
         "action": policy.action_mode,
         "action_limits": policy.action_limits,
         "action_rate_hz": policy.action_rate_hz,
@@ -115,6 +117,10 @@ def policy_envs(policy: Policy, count: int, *, environment: str = "", **settings
         "observations": policy.names,
     }
     envs = gymnasium.make_vec(name, num_envs=count, **{**arguments, **settings})
+    outputs, (size,) = policy.network.outputs, envs.unwrapped.single_action_space.shape
+    if outputs != size:
+        envs.close()
+        raise ConfigError(f"a policy with actions of {outputs} numbers in {name}; expected {size}")
     shapes = getattr(envs.unwrapped, "observation_shapes", {})
     for one in policy.inputs:
         if shapes.get(one.name) != one.shape:
@@ -146,7 +152,8 @@ def evaluate_policy(
         settings: Further settings of the environments; see `dronevio.sim.envs.EnvironmentSettings`.
 
     Raises:
-        ConfigError: There is no such environment, or it does not have the observations of the policy.
+        ConfigError: There is no such environment or vehicle, or they do not have the observations or actions of the
+            policy.
     """
     if episodes < 1:
         raise ConfigError(f"{episodes} episodes; expected 1 or more")

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from dronevio.models.reconstructions.formats import read_reconstruction, write_reconstruction
     from dronevio.models.rig import Rig, RigCamera, euroc_rig
     from dronevio.models.rig_presets import rig_named
+    from dronevio.models.rotors import Rotor
     from dronevio.models.state import (
         NO_IMAGE,
         CameraFrame,
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
         NavState,
         Trajectory,
     )
+    from dronevio.models.vehicles.chosen import vehicle_of
+    from dronevio.models.vehicles.file import read_vehicle
 
 __all__ = [
     "NO_IMAGE",
@@ -70,6 +73,7 @@ __all__ = [
     "Recording",
     "Rig",
     "RigCamera",
+    "Rotor",
     "Trajectory",
     "euroc_rig",
     "image_folder",
@@ -79,8 +83,10 @@ __all__ = [
     "measurements",
     "open_images",
     "read_reconstruction",
+    "read_vehicle",
     "rig_named",
     "vehicle_named",
+    "vehicle_of",
     "write_reconstruction",
 ]
 
@@ -110,6 +116,7 @@ __getattr__, __dir__ = attach(
         "dronevio.models.reconstructions.formats": ("read_reconstruction", "write_reconstruction"),
         "dronevio.models.rig": ("Rig", "RigCamera", "euroc_rig"),
         "dronevio.models.rig_presets": ("rig_named",),
+        "dronevio.models.rotors": ("Rotor",),
         "dronevio.models.state": (
             "NO_IMAGE",
             "CameraFrame",
@@ -120,5 +127,7 @@ __getattr__, __dir__ = attach(
             "NavState",
             "Trajectory",
         ),
+        "dronevio.models.vehicles.chosen": ("vehicle_of",),
+        "dronevio.models.vehicles.file": ("read_vehicle",),
     },
 )

@@ -1,4 +1,4 @@
-"""Quadrotors: the parameters of airframe, rotors and battery, and the MJCF file of each.
+"""Multirotors: the parameters of airframe, rotors and battery, and the MJCF file of each.
 
 The vehicle frame is FLU (x forward, y left, z up) with its origin at the centre of mass.
 """
@@ -11,27 +11,52 @@ import numpy as np
 
 from dronevio.models.arrays import Array
 from dronevio.models.battery import Battery
-from dronevio.models.errors import unknown_name
+from dronevio.models.errors import ConfigError, unknown_name
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.ranges import Range, Settings
+from dronevio.models.rotors import (
+    ARRANGEMENTS,
+    FEWEST_ROTORS,
+    MOST_ROTORS,
+    Rotor,
+    arranged_directions,
+    arranged_positions_m,
+)
 from dronevio.models.vibration import NO_VIBRATION, RotorVibration
 
 _MJCF = Path(__file__).parent / "mjcf"
 
 ROTOR_NAMES = ("rotor_front_right", "rotor_rear_left", "rotor_front_left", "rotor_rear_right")
-"""Sites of the rotors in the order of motor commands, that of PX4's ``Generic Quadcopter X``."""
+"""Sites of four rotors in the packaged MJCF files, in the order of motor commands of ``quad-x``."""
 
 AIR_DENSITY_KG_M3 = 1.225
 """Density of air in the ICAO standard atmosphere at sea level [kg/m³]."""
 
-_SIDES = np.array([[1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [-1.0, -1.0]])  # signs of x (front) and y (left)
-_DIRECTIONS = np.array([1.0, 1.0, -1.0, -1.0])  # +1: anticlockwise seen from above, as in PX4
+_OFF_CENTRE = 0.01  # largest distance of the centre of thrust from the centre of mass, relative to that of the rotors
 _PACK = Battery(cells=3, capacity_ah=5.0, resistance_ohm=0.02)
+
+
+class VehicleError(ConfigError):
+    """A vehicle cannot fly, or a parameter of it is not plausible."""
+
+    def __init__(self, field: str, found: str, expected: str) -> None:
+        """Compose the message ``FIELD: FOUND; expected EXPECTED``.
+
+        Args:
+            field: Name of the field of `Quadrotor`.
+            found: Description of what was found.
+            expected: Description of what was expected.
+        """
+        self.field, self.found, self.expected = field, found, expected
+        super().__init__(f"{field}: {found}; expected {expected}")
 
 
 @dataclass(frozen=True)
 class Quadrotor(Settings):
-    """Mass, geometry, rotors and battery of a quadrotor in X configuration.
+    """Mass, geometry, rotors and battery of a multirotor with four or more equal rotors on parallel axes.
+
+    The name is that of its default. Rotors at equal speeds must not turn the vehicle, and their speeds must be able to
+    turn it about each axis; both are checked on construction.
 
     The defaults describe a research quadrotor of 1.5 kg that carries a camera, an IMU and a small computer. Thrust,
     torque and drag are those of the 10-inch propeller of AscTec's Firefly, a drone of the same mass, as identified for
@@ -44,9 +69,9 @@ class Quadrotor(Settings):
     """Principal moments of inertia about x, y, z, of four motors of 80 g at the ends of the arms and a box of
     14×14×8 cm for the rest [kg m²]."""
     arm_m: Annotated[float, Range(above=0.0, high=10.0)] = 0.20
-    """Horizontal distance from the centre of mass to the axis of each rotor [m]."""
+    """Horizontal distance from the centre of mass to the axis of each rotor of an arrangement [m]."""
     rotor_height_m: Annotated[float, Range(-10.0, 10.0)] = 0.03
-    """Height of the rotor discs above the centre of mass [m]."""
+    """Height of the rotor discs of an arrangement above the centre of mass [m]."""
     thrust_n_per_rad2_s2: Annotated[float, Range(above=0.0, high=1.0)] = 8.54858e-6
     """Thrust coefficient of a rotor (RotorS), k in F = k ω² [N/(rad/s)²]."""
     torque_nm_per_rad2_s2: Annotated[float, Range(above=0.0, high=1.0)] = 1.36777e-7
@@ -82,36 +107,141 @@ class Quadrotor(Settings):
     (Hoerner, "Fluid-Dynamic Drag", 1965, ch. 3) [m²]."""
     vibration: RotorVibration = NO_VIBRATION
     """Vibration that the rotors cause at the IMU."""
-    mjcf_name: str = "quadrotor"
-    """Name of the MJCF file with its geometry and appearance."""
+    mjcf_name: str | None = None
+    """Name of an MJCF file of the package with geometry and appearance. By default, that of the research quadrotor if
+    the rotors have its places and size; otherwise, a body is generated from the parameters."""
+    rotors: str | tuple[Rotor, ...] = "quad-x"
+    """Rotors in the order of motor commands: the name of an arrangement (`ARRANGEMENTS`) whose size is given by
+    ``arm_m`` and ``rotor_height_m``, or 4 to 16 rotors one by one."""
+    mjcf_file: Path | None = None
+    """MJCF file of one's own with geometry and appearance, instead of ``mjcf_name``; see
+    `dronevio.sim.physics.own_body`."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers, and that the rotors can hold and turn the vehicle.
+
+        Raises:
+            RangeError: A number is outside its range.
+            ConfigError: There is no such arrangement.
+            VehicleError: The number of rotors is not supported, equal speeds turn the vehicle, or no speeds turn it
+                about one of the axes.
+        """
+        super().__post_init__()
+        if isinstance(self.rotors, str):
+            if self.rotors not in ARRANGEMENTS:
+                raise unknown_name("arrangement of rotors", self.rotors, ARRANGEMENTS)
+            return
+        if not (isinstance(self.rotors, tuple) and all(isinstance(rotor, Rotor) for rotor in self.rotors)):
+            raise VehicleError("rotors", type(self.rotors).__name__, "the name of an arrangement, or a tuple of Rotor")
+        if not FEWEST_ROTORS <= len(self.rotors) <= MOST_ROTORS:
+            raise VehicleError("rotors", f"{len(self.rotors)} rotors", f"{FEWEST_ROTORS} to {MOST_ROTORS}")
+        self._check_balance()
 
     @property
-    def mjcf(self) -> Path:
-        """MJCF file: geometry, appearance, landing gear, and the sites of rotors and sensors."""
-        return _MJCF / f"{self.mjcf_name}.xml"
+    def mjcf(self) -> Path | None:
+        """MJCF file: geometry, appearance, landing gear, and the sites of sensors; None if the body is generated."""
+        if self.mjcf_file is not None:
+            return self.mjcf_file
+        if self.mjcf_name is not None:
+            return _MJCF / f"{self.mjcf_name}.xml"
+        names = ("rotors", "arm_m", "rotor_height_m", "rotor_radius_m")
+        as_research = all(getattr(self, name) == getattr(Quadrotor, name) for name in names)
+        return _MJCF / "quadrotor.xml" if as_research else None
+
+    @property
+    def rotor_count(self) -> int:
+        """Number R of rotors."""
+        return len(ARRANGEMENTS[self.rotors] if isinstance(self.rotors, str) else self.rotors)
 
     @property
     def rotor_positions_m(self) -> Array:
-        """(4, 3) Centres of the rotor discs in the vehicle frame [m]."""
-        height = np.full((4, 1), self.rotor_height_m)
-        return np.hstack([_SIDES * self.arm_m / np.sqrt(2.0), height])
+        """(R, 3) Centres of the rotor discs in the vehicle frame [m]."""
+        if isinstance(self.rotors, str):
+            return arranged_positions_m(self.rotors, self.arm_m, self.rotor_height_m)
+        return np.array([rotor.position_m for rotor in self.rotors], dtype=np.float64)
 
     @property
     def rotor_directions(self) -> Array:
-        """(4,) Direction of rotation seen from above, +1 anticlockwise and −1 clockwise; the reaction is opposite."""
-        return _DIRECTIONS.copy()
+        """(R,) Direction of rotation seen from above, +1 anticlockwise and −1 clockwise; the reaction is opposite."""
+        if isinstance(self.rotors, str):
+            directions = arranged_directions(self.rotors)
+        else:
+            directions = tuple(rotor.direction for rotor in self.rotors)
+        return np.array([1.0 if direction == "ccw" else -1.0 for direction in directions])
+
+    @property
+    def reach_m(self) -> float:
+        """Largest horizontal distance from the centre of mass to the axis of a rotor [m]."""
+        if isinstance(self.rotors, str):
+            return self.arm_m
+        return float(np.hypot(*self.rotor_positions_m[:, :2].T).max())
 
     @property
     def hover_speed_rad_s(self) -> float:
-        """Rotor speed at which the thrust of four rotors equals the weight [rad/s]."""
-        return float(np.sqrt(self.mass_kg * GRAVITY_M_S2 / (4.0 * self.thrust_n_per_rad2_s2)))
+        """Rotor speed at which the thrust of all rotors equals the weight [rad/s]."""
+        return float(np.sqrt(self.mass_kg * GRAVITY_M_S2 / (float(self.rotor_count) * self.thrust_n_per_rad2_s2)))
+
+    @property
+    def full_speed_rad_s(self) -> float:
+        """Speed that all rotors together reach with a full battery [rad/s]."""
+        slow, fast = 0.0, self.rotor_speed_max_rad_s
+        if self._reaches(fast):
+            return fast
+        for _ in range(60):  # bisection to the last digit: the voltage decreases as the speed increases
+            middle = 0.5 * (slow + fast)
+            slow, fast = (middle, fast) if self._reaches(middle) else (slow, middle)
+        return slow
+
+    @property
+    def thrust_to_weight(self) -> float:
+        """Largest thrust of all rotors with a full battery, divided by the weight."""
+        return (self.full_speed_rad_s / self.hover_speed_rad_s) ** 2
+
+    @property
+    def hover_power_w(self) -> float:
+        """Electrical power at hover out of ground effect [W]."""
+        return self._power_w(self.hover_speed_rad_s)
 
     @property
     def allocation(self) -> Array:
-        """(4, 4) Map from squared rotor speeds [(rad/s)²] to thrust [N] and torques about x, y, z [N m]."""
+        """(4, R) Map from squared rotor speeds [(rad/s)²] to thrust [N] and torques about x, y, z [N m]."""
         x, y = self.rotor_positions_m[:, 0], self.rotor_positions_m[:, 1]
         k, km = self.thrust_n_per_rad2_s2, self.torque_nm_per_rad2_s2
-        return np.stack([np.full(4, k), k * y, -k * x, -km * self.rotor_directions])
+        return np.stack([np.full(self.rotor_count, k), k * y, -k * x, -km * self.rotor_directions])
+
+    def _power_w(self, speed_rad_s: float) -> float:
+        """Return the electrical power with all rotors at a speed [W]."""
+        shafts = self.rotor_count * self.torque_nm_per_rad2_s2 * speed_rad_s**3
+        return self.avionics_w + shafts / self.motor_efficiency
+
+    def _reaches(self, speed_rad_s: float) -> bool:
+        """Return whether a full battery drives all rotors at a speed [rad/s]."""
+        voltage = self.battery.loaded_v(np.array(1.0), np.array(self._power_w(speed_rad_s)))
+        return bool(speed_rad_s <= self.rotor_speed_per_v * voltage)
+
+    def _check_balance(self) -> None:
+        """Check that equal speeds do not turn the vehicle, and that others turn it about each axis.
+
+        Raises:
+            VehicleError: They do, or they do not.
+        """
+        places, spins = self.rotor_positions_m[:, :2], self.rotor_directions
+        size, (x, y) = self.reach_m, places.mean(axis=0)
+        if np.hypot(x, y) > _OFF_CENTRE * size or size == 0.0:
+            found = f"the centre of the rotors is at x = {x:.3g} m, y = {y:.3g} m from the centre of mass"
+            raise VehicleError("rotors", found, "0, 0: positions relative to the centre of mass, around it")
+        if spins.sum() != 0.0:
+            found = (
+                f"{int((spins > 0).sum())} rotors turn anticlockwise (ccw) and {int((spins < 0).sum())} clockwise (cw)"
+            )
+            raise VehicleError("rotors", found, "as many of each, so that the vehicle does not turn at hover")
+        scaled = np.stack([np.ones(len(spins)), *(places.T / size), spins])
+        for axis, without in (("x (roll)", 2), ("y (pitch)", 1), ("z (yaw)", 3)):
+            others = np.delete(scaled, without, axis=0)
+            rest = scaled[without] - others.T @ np.linalg.lstsq(others.T, scaled[without], rcond=None)[0]
+            if np.linalg.norm(rest) < 1e-3:
+                found = f"no rotor speeds turn the vehicle about {axis} alone"
+                raise VehicleError("rotors", found, "places and directions that can, such as those of quad-x")
 
 
 RESEARCH = Quadrotor()
@@ -154,6 +284,8 @@ VEHICLES: dict[str, Quadrotor] = {"research": RESEARCH, "nano": NANO}
 
 def vehicle_named(name: str) -> Quadrotor:
     """Return the vehicle with a given name.
+
+    `dronevio.models.vehicles.vehicle_of` also reads vehicles of one's own.
 
     Raises:
         ConfigError: There is no vehicle with this name.

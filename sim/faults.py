@@ -9,6 +9,7 @@ from dronevio.models.imu import ImuModel
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, pose_matrix
+from dronevio.models.rotors import MOST_ROTORS
 from dronevio.sim.physics.rotors import MotorFailure
 
 
@@ -36,8 +37,8 @@ class Faults(Settings):
     """Factor of the white noise and bias random walk of the IMU relative to the calibration."""
     gyro_range_rad_s: Annotated[float, Range(above=0.0, infinite=True)] = float("inf")
     """Measurement range of the gyroscope on each axis, if smaller than the calibrated range [rad/s]."""
-    failing_rotor: Annotated[int, Range(0, 3)] = 0
-    """Index of the rotor that fails, 0 to 3."""
+    failing_rotor: Annotated[int, Range(0, MOST_ROTORS - 1)] = 0
+    """Index of the rotor that fails, from 0 in the order of the vehicle's rotors."""
     rotor_fails_at_s: Annotated[float, Range(low=0.0, infinite=True)] = float("inf")
     """Time from the start of the flight at which the rotor loses its power [s]."""
 

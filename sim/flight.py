@@ -156,7 +156,7 @@ def start_in_air(plant: QuadrotorPlant, start: ReferencePoint) -> None:
         pose_matrix(attitude(force, np.asarray(start.yaw_rad)), start.position_m),
         start.velocity_m_s,
         start.rate_rad_s,
-        np.full(4, speed),
+        np.full(plant.quadrotor.rotor_count, speed),
     )
 
 

@@ -21,6 +21,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import RESEARCH
 from dronevio.models.ranges import FINITE, NumberField, RangeError, Settings, number_fields
 from dronevio.models.rig import EUROC_CAM0, Rig, RigCamera, euroc_rig
+from dronevio.models.rotors import Rotor
 from dronevio.sim.envs.settings import EnvironmentSettings, settings_of
 from dronevio.sim.paths.plan import FlightPlan
 from dronevio.sim.physics.rotors import MotorFailure
@@ -36,6 +37,7 @@ EXAMPLES: dict[type, Any] = {
     Rig: euroc_rig(),
     EnvironmentSettings: settings_of(),
     MotorFailure: MotorFailure(0, 1.0),
+    Rotor: Rotor((0.1, 0.1, 0.0), "cw"),
     FlightPlan: FlightPlan(shape="hover"),
     FlightOptions: FlightOptions.of(scenario_named("hover")),
 }

@@ -57,6 +57,7 @@ COMMANDS = CommandGroup(
         "convert": Subcommand("dronevio.cli.commands.convert", "convert a recording, or export its calibration"),
         "scenarios": Subcommand("dronevio.cli.commands.scenarios", "list the scenarios and the suites"),
         "worlds": Subcommand("dronevio.cli.commands.worlds", "list the worlds, or draw a contact sheet of them"),
+        "vehicles": Subcommand("dronevio.cli.commands.vehicles", "describe the vehicles, or check one of your own"),
         "log": Subcommand(
             "dronevio.cli.commands.log", "write estimates of any program and a recording to a rerun file"
         ),

@@ -108,7 +108,8 @@ class FlightOptions(Settings):
     """World that replaces the one of the scenario; `dronevio worlds` lists them. A world of your own is a file,
     such as yard.yaml or yard.xml (MJCF), or python:package.module:NAME."""
     vehicle: str | None = None
-    """Vehicle that replaces the one of the scenario: research (1.5 kg) or nano (30 g)."""
+    """Vehicle that replaces the one of the scenario: research (1.5 kg), nano (30 g), a YAML file with a vehicle of your
+    own, or python:package.module:NAME; `dronevio vehicles` describes them."""
     rig: str | None = None
     """Sensors that replace those of the scenario: a name such as euroc-stereo, fisheye or rolling, a Kalibr
     camchain.yaml, or a recording with its calibration."""
@@ -154,10 +155,10 @@ class FlightOptions(Settings):
 
         Raises:
             ConfigError: A name is unknown, or the settings contradict each other.
-            InputError: The file of the rig cannot be read.
+            InputError: The file of the rig or of the vehicle cannot be read, or is wrong.
         """
         from dronevio.models.imu_presets import imu_named
-        from dronevio.models.quadrotor import vehicle_named
+        from dronevio.models.vehicles import vehicle_of
         from dronevio.recording.recorder import rig_of
         from dronevio.sim.cameras.imaging import image_sensor_named
         from dronevio.sim.scenarios import scenario_named
@@ -171,7 +172,7 @@ class FlightOptions(Settings):
             world_seed=self.world_seed,
             light_seed=self.light_seed,
             reverse=self.reverse,
-            quadrotor=base.quadrotor if self.vehicle is None else vehicle_named(self.vehicle),
+            quadrotor=base.quadrotor if self.vehicle is None else vehicle_of(self.vehicle),
             rig=rig if self.imu is None else replace(rig, imu=imu_named(self.imu)),
             plan=self.plan,
             imaging=self.imaging.imaging(

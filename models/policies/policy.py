@@ -12,9 +12,12 @@ from dronevio.models.actions import ACTION_MODES, ActionLimits
 from dronevio.models.errors import ConfigError
 from dronevio.models.policies.document import LONGEST_LIST, LONGEST_TEXT
 from dronevio.models.policies.network import WIDEST, Array32, Network, PolicyError, Scaling
+from dronevio.models.rotors import MOST_ROTORS
 
 ACTIONS = 4
-"""Number of values of an action."""
+"""Number of values of an action, but for one a rotor in the mode ``rotors``."""
+OWN_VEHICLE = "own"
+"""Name of a vehicle of one's own in a policy, which has to be given again to use the policy."""
 FASTEST_HZ = 10_000.0
 """Upper limit of rates [Hz]."""
 
@@ -90,7 +93,7 @@ class Policy:
     environment: str
     """Id of the environment in which the policy was trained, such as ``dronevio/Hover-v0``."""
     vehicle: str
-    """Name of the vehicle."""
+    """Name of the vehicle, or `OWN_VEHICLE`."""
     inputs: tuple[NamedShape, ...]
     """Observations in the order of the inputs of the network."""
     scaling: Scaling
@@ -134,9 +137,10 @@ class Policy:
             raise PolicyError(
                 f"layers.0.weight: {self.network.inputs} columns", f"{size}, the size of the observations"
             )
-        if self.network.outputs != ACTIONS:
-            last = len(self.network.layers) - 1
-            raise PolicyError(f"layers.{last}.weight: {self.network.outputs} rows", f"{ACTIONS}, the size of an action")
+        most = MOST_ROTORS if self.action_mode == "rotors" else ACTIONS
+        if not ACTIONS <= self.network.outputs <= most:
+            last, sizes = len(self.network.layers) - 1, f"{ACTIONS}" if most == ACTIONS else f"{ACTIONS} to {most}"
+            raise PolicyError(f"layers.{last}.weight: {self.network.outputs} rows", f"{sizes}, the size of an action")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -144,7 +148,7 @@ class Policy:
         return tuple(one.name for one in self.inputs)
 
     def action(self, observation: Mapping[str, npt.ArrayLike] | npt.NDArray[np.floating]) -> Array32:
-        """Return the actions (n, 4) for observations of n drones.
+        """Return the actions (n, A) for observations of n drones.
 
         Args:
             observation: Arrays (n, …) by the names of the observations, or one array (n, N) with all of them in order.

@@ -211,7 +211,7 @@ class _Sensors:
         self._next = 0
 
     def imu(self, command: Array | None = None) -> ImuSamples:
-        """Apply a command (4,) for one IMU interval, if there is one, and return the new samples."""
+        """Apply a command (R,) for one IMU interval, if there is one, and return the new samples."""
         plant = self._plant
         perfect = plant.step_until(
             plant.t_ns + (0 if command is None else plant.interval_ns), np.zeros(4) if command is None else command

@@ -63,7 +63,7 @@ class EpisodeState:
     begun_ns: Times
     """(n,) Times of the physics at the starts of the episodes, after the wait for an estimate [ns]."""
     action: Array
-    """(n, 4) Actions of the last step; zeros at the start of an episode."""
+    """(n, A) Actions of the last step; zeros at the start of an episode."""
     delayed: DelayedActions
     """Actions that are still to take effect."""
     loops: Any
@@ -136,8 +136,8 @@ class DroneCore:
             goals=goals,
             states=states,
             begun_ns=np.zeros(count, dtype=np.int64),
-            action=np.zeros((count, 4)),
-            delayed=DelayedActions.none(count, settings.samples, interval_s),
+            action=np.zeros((count, self._mode.size)),
+            delayed=DelayedActions.none(count, settings.samples, interval_s, self._mode.size),
             loops=self._mode.start(states),
             images=None if self._renderer is None else self._renderer.start(count),
         )
@@ -147,6 +147,11 @@ class DroneCore:
     def count(self) -> int:
         """Number of environments."""
         return self.plant.count
+
+    @property
+    def action_size(self) -> int:
+        """Number A of the numbers of an action: four, or one for each rotor in the mode ``rotors``."""
+        return self._mode.size
 
     @property
     def states(self) -> VehicleStates:
@@ -222,12 +227,12 @@ class DroneCore:
         """Apply actions for one step.
 
         Args:
-            actions: (n, 4) Actions, which are clipped to [−1, 1].
+            actions: (n, A) Actions, which are clipped to [−1, 1].
 
         Raises:
-            ConfigError: The actions are not n rows of four finite numbers.
+            ConfigError: The actions are not n rows of A finite numbers.
         """
-        action = checked_actions(actions, self.count)
+        action = checked_actions(actions, self.count, self._mode.size)
         task, last = self.settings.task, self._episode
         delayed, loops = last.delayed.pushed(action), last.loops
         unestimated = np.full(self.count, self._loop is not None and not self._loop.ready)
@@ -348,7 +353,7 @@ class DroneCore:
         return self._worlds.begin(self.settings.vehicle, self._rng, world, self.plant.standing_height_m)
 
     def _advance(self, commands: Array, interval: int) -> None:
-        """Advance physics, IMU and estimator by one IMU interval of a step, with commands (n, 4) [rad/s]."""
+        """Advance physics, IMU and estimator by one IMU interval of a step, with commands (n, R) [rad/s]."""
         self.plant.advance(commands)
         if not self.settings.has_imu:
             return
@@ -380,7 +385,7 @@ class DroneCore:
         self._loop.measure(0, self._imu.samples[0, -1], begun.states)
         longest_ns = settings.estimation.longest_wait_s * 1e9
         while not self._loop.ready and self.plant.t_ns[0] < longest_ns:
-            self._advance(np.zeros((1, 4)), -1)
+            self._advance(np.zeros((1, self.settings.vehicle.rotor_count)), -1)
         self._imu.repeat_last()
         self._episode = replace(begun, states=self.plant.states, begun_ns=self.plant.t_ns)
         self._loop.start()
@@ -422,6 +427,7 @@ class DroneCore:
             self._objective(),
             settings.vehicle,
             settings.samples,
+            self._mode.size,
             settings.mapping.shape,
             settings.beams,
         )

@@ -6,11 +6,12 @@ from typing import Annotated, Any
 
 from dronevio.models.actions import ACTION_MODES, ActionLimits
 from dronevio.models.errors import ConfigError, unknown_name
-from dronevio.models.quadrotor import RESEARCH, Quadrotor, vehicle_named
+from dronevio.models.quadrotor import RESEARCH, Quadrotor
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, pose_matrix
+from dronevio.models.vehicles import check_vehicle, vehicle_of
 from dronevio.sim.envs.episodes.randomization import NOTHING_RANDOM, Randomization, RandomizedParameters
 from dronevio.sim.envs.sensing.camera_observation import (
     CameraObservation,
@@ -44,7 +45,8 @@ class EnvironmentSettings(Settings):
     world_seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the layout of the world, and of its textures unless they are randomized."""
     vehicle: Quadrotor = RESEARCH
-    """Vehicle, or its name: ``research`` or ``nano``."""
+    """Vehicle, or a text: ``research``, ``nano``, the name of a file such as ``my-hexa.yaml`` (see
+    `dronevio.models.vehicles`), or ``python:package.module:NAME``."""
     rig: Rig = field(default_factory=euroc_rig)
     """Cameras and IMU with their mounting, or the name of a rig such as ``euroc-stereo``; those of EuRoC's drone by
     default."""
@@ -263,12 +265,13 @@ def settings_of(
 
     Args:
         task: Task or name of a task.
-        vehicle: Vehicle or name of a vehicle.
+        vehicle: Vehicle, name of a vehicle, or file (`vehicle_of`).
         rig: Cameras and IMU, or the name of a rig such as ``euroc-stereo``; those of EuRoC's drone by default.
         others: Other fields of `EnvironmentSettings` by name.
 
     Raises:
-        ConfigError: A name is unknown, or a value is not possible.
+        ConfigError: A name is unknown, a value is not possible, or the vehicle cannot fly.
+        InputError: The file of the vehicle is missing or wrong.
     """
     known = {one.name for one in fields(EnvironmentSettings)}
     unknown = sorted(set(others) - known)
@@ -281,7 +284,7 @@ def settings_of(
     return EnvironmentSettings(
         task=chosen,
         world=resolved_world(others.pop("world", "") or chosen.world),
-        vehicle=vehicle_named(vehicle) if isinstance(vehicle, str) else vehicle,
+        vehicle=_vehicle(vehicle),
         rig=replace(rig, imu=replace(rig.imu, rate_hz=imu_rate_hz)),
         action=others.pop("action", "") or chosen.default_action,
         observations=others.pop("observations", ()) or chosen.default_observations,
@@ -290,6 +293,18 @@ def settings_of(
         camera_rate_hz=others.pop("camera_rate_hz", 0.0) or action_rate_hz,
         **others,
     )
+
+
+def _vehicle(vehicle: Quadrotor | str) -> Quadrotor:
+    """Return a vehicle that can fly.
+
+    Raises:
+        ConfigError: There is no such vehicle, or it cannot fly.
+    """
+    if isinstance(vehicle, str):
+        return vehicle_of(vehicle)
+    check_vehicle(vehicle)
+    return vehicle
 
 
 def _names(observations: Iterable[str | OwnObservation]) -> tuple[str, ...]:

@@ -89,7 +89,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
         self._core = DroneCore(1, self.settings)
         self._pictures = DronePictures(self.settings)
         self._started, self._steps = False, 0
-        self.action_space = action_space()
+        self.action_space = action_space(self._core.action_size)
         self.observation_space = self._core.arrangement.space
         self.observation_shapes = self._core.arrangement.shapes
         """Shapes of the observations of the policy by name, in order."""
@@ -116,18 +116,18 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
         return rows_of(self._core.observe(), 0), row_of(info, 0)
 
     def step(self, action: npt.NDArray[np.floating[Any]]) -> tuple[Any, SupportsFloat, bool, bool, Info]:
-        """Apply an action (4,), clipped to [−1, 1], for the time between two actions.
+        """Apply an action (A,), clipped to [−1, 1], for the time between two actions.
 
         Returns:
             Observation, reward, terminated, truncated and the info dictionary.
 
         Raises:
-            ConfigError: The action is not four finite numbers, or there was no reset.
+            ConfigError: The action is not A finite numbers, or there was no reset.
         """
         self._require_started()
         action = np.asarray(action)
-        if action.shape != (4,):
-            raise ConfigError(f"action of shape {action.shape}; expected (4,)")
+        if action.shape != self.action_space.shape:
+            raise ConfigError(f"action of shape {action.shape}; expected {self.action_space.shape}")
         result = self._core.step(action[None])
         self._steps += 1
         self._show()

@@ -102,7 +102,7 @@ class DroneVectorEnv(VectorEnv[Any, npt.NDArray[np.floating[Any]], Any]):
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._ended = np.zeros(num_envs, dtype=np.bool_)
         self._started = False
-        self.single_action_space = action_space()
+        self.single_action_space = action_space(self._core.action_size)
         self.single_observation_space = self._core.arrangement.space
         self.observation_shapes = self._core.arrangement.shapes
         """Shapes of the observations of one environment's policy by name, in order."""
@@ -136,13 +136,13 @@ class DroneVectorEnv(VectorEnv[Any, npt.NDArray[np.floating[Any]], Any]):
         return self._core.observe(), with_masks(info, mask)
 
     def step(self, actions: npt.NDArray[np.floating[Any]]) -> StepReturn:
-        """Apply actions (n, 4), clipped to [−1, 1], for the time between two actions.
+        """Apply actions (n, A), clipped to [−1, 1], for the time between two actions.
 
         Returns:
             Observations, rewards (n,), terminations (n,), truncations (n,) and infos.
 
         Raises:
-            ConfigError: The actions are not n rows of four finite numbers, there was no reset, or an episode has ended
+            ConfigError: The actions are not n rows of A finite numbers, there was no reset, or an episode has ended
                 without a reset and ``autoreset_mode`` is ``DISABLED``.
         """
         if not self._started:

@@ -66,11 +66,19 @@ class WorldPool:
             rng: Generator of the random numbers.
             world: (k,) Indices of the worlds of the episodes.
             standing_m: Height of the centre of mass of a vehicle that stands on the floor above it [m].
+
+        Raises:
+            ConfigError: The task does not return states of vehicles with as many rotors.
         """
         groups = [np.flatnonzero(world == number) for number in np.unique(world)]
         parts = [self._task.begin(self.areas[world[rows[0]]], quadrotor, rng, rows.size) for rows in groups]
         order = np.argsort(np.concatenate(groups))
         states, goals = (joined(tables).rows(order) for tables in zip(*parts, strict=True))
+        if states.rotor_speed_rad_s.shape[1] != quadrotor.rotor_count:
+            raise ConfigError(
+                f"{type(self._task).__name__}.begin returns states of {states.rotor_speed_rad_s.shape[1]} rotors for a"
+                f" vehicle with {quadrotor.rotor_count}; expected VehicleStates.at(…, rotors=quadrotor.rotor_count)"
+            )
         height = np.maximum(states.position_m[:, 2:], self.floor_m + standing_m)
         return replace(states, position_m=np.hstack([states.position_m[:, :2], height])), goals
 

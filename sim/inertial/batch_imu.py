@@ -124,12 +124,11 @@ class BatchImuErrors:
 
         Args:
             perfect: (n, 6) Noise-free angular velocities [rad/s] and specific forces [m/s²] in the IMU frame.
-            rotor_speeds_rad_s: (n, 4) Speeds of the rotors from this sample on, for the vibration [rad/s]; standstill
+            rotor_speeds_rad_s: (n, R) Speeds of the rotors from this sample on, for the vibration [rad/s]; standstill
                 by default.
         """
         if self._vibration is not None:
-            speeds = np.zeros((len(perfect), 4)) if rotor_speeds_rad_s is None else rotor_speeds_rad_s
-            perfect = perfect + self._vibration.following(speeds)
+            perfect = perfect + self._vibration.following(rotor_speeds_rad_s)
         steps = self._steps
         walk, white = self._rng.standard_normal((2, *perfect.shape))
         self._walked += steps.walk * walk
@@ -145,11 +144,10 @@ class BatchImuErrors:
         Args:
             perfect: (k, 6) Noise-free angular velocities [rad/s] and specific forces [m/s²] in the IMU frame.
             rows: (k,) Indices of the units.
-            rotor_speeds_rad_s: (k, 4) Speeds of the rotors, for the vibration [rad/s]; standstill by default.
+            rotor_speeds_rad_s: (k, R) Speeds of the rotors, for the vibration [rad/s]; standstill by default.
         """
         if self._vibration is not None:
-            speeds = np.zeros((len(perfect), 4)) if rotor_speeds_rad_s is None else rotor_speeds_rad_s
-            perfect = perfect + self._vibration.first(speeds, rows)
+            perfect = perfect + self._vibration.first(rotor_speeds_rad_s, rows)
         bias = self._walked[rows] + self._flicker[rows].sum(axis=1)
         white = self._reset_rng.standard_normal(perfect.shape)
         return self._measured(perfect, rows, bias, white), bias

@@ -42,7 +42,7 @@ class ImuErrors:
 
         Args:
             perfect: N noise-free samples, points or increments, later than those of the last call.
-            rotor_speeds_rad_s: (N, 4) Rotor speeds for the vibration [rad/s] (see
+            rotor_speeds_rad_s: (N, R) Rotor speeds for the vibration [rad/s] (see
                 `RotorHarmonics.sensed`); standstill by default.
 
         Returns:
@@ -53,8 +53,7 @@ class ImuErrors:
             return perfect, np.zeros((0, 3)), np.zeros((0, 3))
         gyro, accel = perfect.gyro_rad_s, perfect.accel_m_s2
         if self._vibration is not None:
-            speeds = np.zeros((n, 4)) if rotor_speeds_rad_s is None else rotor_speeds_rad_s
-            turning, shaking = self._vibration.sensed(perfect, speeds)
+            turning, shaking = self._vibration.sensed(perfect, rotor_speeds_rad_s)
             gyro, accel = gyro + turning, accel + shaking
         gyro, accel = self.constants.response(gyro, accel)
         bias = self._biases.advance_to(perfect.t_ns)

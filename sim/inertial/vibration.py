@@ -9,7 +9,7 @@ from dronevio.models.rig import Rig
 
 
 class Tones:
-    """The harmonics of four rotors as an IMU measures them, given the angles of the rotors."""
+    """The harmonics of R rotors as an IMU measures them, given the angles of the rotors."""
 
     def __init__(self, quadrotor: Quadrotor, rig: Rig) -> None:
         """Define the rotors with their vibration, and mounting and bandwidths of the IMU."""
@@ -27,9 +27,9 @@ class Tones:
         """Return angular velocities (N, 3) [rad/s] and specific forces (N, 3) [m/s²] in the IMU frame.
 
         Args:
-            angle_rad: (N, 4) Angles of the rotors amid each sample [rad].
-            turned_rad: (N, 4) Rotation during each sample [rad]; 0 for points.
-            rotor_speeds_rad_s: (N, 4) Speeds of the rotors [rad/s].
+            angle_rad: (N, R) Angles of the rotors amid each sample [rad].
+            turned_rad: (N, R) Rotation during each sample [rad]; 0 for points.
+            rotor_speeds_rad_s: (N, R) Speeds of the rotors [rad/s].
         """
         phase = self._orders * angle_rad[..., None] + self._lags
         tone = np.cos(phase) * np.sinc(self._orders * turned_rad[..., None] / (2.0 * np.pi))
@@ -64,28 +64,29 @@ class RotorHarmonics:
         """
         self._interval_s = 1.0 / rig.imu.rate_hz
         self._tones = Tones(quadrotor, rig)
-        self._angle = rng.uniform(0.0, 2.0 * np.pi, 4)
-        self._speed = np.zeros(4)
+        self._angle = rng.uniform(0.0, 2.0 * np.pi, quadrotor.rotor_count)
+        self._speed = np.zeros(quadrotor.rotor_count)
         self._t_ns: int | None = None
 
-    def sensed(self, samples: ImuSamples, rotor_speeds_rad_s: Array) -> tuple[Array, Array]:
+    def sensed(self, samples: ImuSamples, rotor_speeds_rad_s: Array | None) -> tuple[Array, Array]:
         """Return the vibration at the times of a batch of samples, later than those of the last call.
 
         Args:
             samples: N samples, of which only times and sampling are used.
-            rotor_speeds_rad_s: (N, 4) Rotor speeds [rad/s]: for points, the speeds from each time stamp on; for
-                increments, the speeds during each interval.
+            rotor_speeds_rad_s: (N, R) Rotor speeds [rad/s]: for points, the speeds from each time stamp on; for
+                increments, the speeds during each interval. None is standstill.
 
         Returns:
             Angular velocities (N, 3) [rad/s] and specific forces (N, 3) [m/s²] in the IMU frame.
         """
         if len(samples) == 0:
             return np.zeros((0, 3)), np.zeros((0, 3))
-        middle, turned = self._turn(samples, rotor_speeds_rad_s)
-        return self._tones.at(middle, turned, rotor_speeds_rad_s)
+        speeds = np.zeros((len(samples), len(self._speed))) if rotor_speeds_rad_s is None else rotor_speeds_rad_s
+        middle, turned = self._turn(samples, speeds)
+        return self._tones.at(middle, turned, speeds)
 
     def _turn(self, samples: ImuSamples, speeds: Array) -> tuple[Array, Array]:
-        """Advance the rotors; return their angles (N, 4) amid each sample and their rotation during it [rad]."""
+        """Advance the rotors; return their angles (N, R) amid each sample and their rotation during it [rad]."""
         if samples.sampling == "increment":
             start_ns = int(samples.t_ns[0]) - round(1e9 * self._interval_s) if self._t_ns is None else self._t_ns
             turned = speeds * (np.diff(samples.t_ns, prepend=start_ns) * 1e-9)[:, None]
@@ -101,9 +102,9 @@ class RotorHarmonics:
 
 
 def _linear_amplitudes(quadrotor: Quadrotor, fading: Array) -> Array:
-    """Return (4, T, 3) acceleration amplitudes of the T harmonics divided by ω² [m], in the vehicle frame."""
+    """Return (R, T, 3) acceleration amplitudes of the T harmonics divided by ω² [m], in the vehicle frame."""
     vibration = quadrotor.vibration
-    swing = np.zeros((4, 2 + len(fading), 3))
+    swing = np.zeros((quadrotor.rotor_count, 2 + len(fading), 3))
     swing[:, 0, 0] = vibration.imbalance_m
     swing[:, 1, 1] = vibration.imbalance_m * quadrotor.rotor_directions
     swing[:, 2:, 2] = vibration.blade_pass_m * fading
@@ -111,11 +112,12 @@ def _linear_amplitudes(quadrotor: Quadrotor, fading: Array) -> Array:
 
 
 def _angular_amplitudes(quadrotor: Quadrotor, fading: Array) -> Array:
-    """Return (4, T, 3) angular velocity amplitudes of the T harmonics divided by ω [rad], in the vehicle frame."""
+    """Return (R, T, 3) angular velocity amplitudes of the T harmonics divided by ω [rad], in the vehicle frame."""
     x, y = quadrotor.rotor_positions_m[:, 0], quadrotor.rotor_positions_m[:, 1]
-    across = np.stack([y, -x], axis=1) / np.hypot(x, y)[:, None]  # axis of the torque of a force on the arm
+    arm = np.hypot(x, y)
+    across = np.stack([y, -x], axis=1) / np.where(arm > 0.0, arm, 1.0)[:, None]  # axis of the torque of a force there
     vibration = quadrotor.vibration
-    rocking = np.zeros((4, 2 + len(fading), 3))
+    rocking = np.zeros((quadrotor.rotor_count, 2 + len(fading), 3))
     rocking[:, 0, 0] = vibration.imbalance_rad * quadrotor.rotor_directions
     rocking[:, 1, 1] = vibration.imbalance_rad
     rocking[:, 2:, :2] = vibration.blade_pass_rad * fading[:, None] * across[:, None]

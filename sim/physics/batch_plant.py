@@ -111,7 +111,7 @@ class BatchPlant:
         self._rotors = Rotors(self.quadrotor, parameters)
         self.now = PlantState(
             parameters=parameters,
-            rotors=self._rotors.steady_state(np.zeros((count, 4))),
+            rotors=self._rotors.steady_state(np.zeros((count, self.quadrotor.rotor_count))),
             elapsed=np.zeros(count, dtype=np.int64),
             world=np.zeros(count, dtype=np.intp),
             touched=nothing,
@@ -122,7 +122,8 @@ class BatchPlant:
             samples=PointSamples(np.zeros((count, 3)), np.zeros((count, 3))),
         )
         """State of the vehicles at the current time; in a plant without IMUs, their samples are zeros."""
-        self.reset(~nothing, VehicleStates.at(np.tile([0.0, 0.0, self.standing_height_m], (count, 1))))
+        pads, rotor_count = np.tile([0.0, 0.0, self.standing_height_m], (count, 1)), self.quadrotor.rotor_count
+        self.reset(~nothing, VehicleStates.at(pads, rotors=rotor_count))
 
     @property
     def count(self) -> int:
@@ -223,7 +224,7 @@ class BatchPlant:
             self._rotors = Rotors(self.quadrotor, self.now.parameters)
 
     def advance(self, commands: Array) -> PointSamples:
-        """Apply commands (n, 4) of rotor speeds [rad/s] for one IMU interval, and return the IMU samples at its end."""
+        """Apply commands (n, R) of rotor speeds [rad/s] for one IMU interval, and return the IMU samples at its end."""
         now = self.now
         diverged, finite = now.diverged, np.isfinite(commands)
         if not finite.all():

@@ -17,7 +17,7 @@ from dronevio.models.rotation import cross
 from dronevio.sim.physics.disturbance import DisturbanceObserver, ObserverState
 from dronevio.sim.physics.drive import IDLE_SHARE, DriveState, Mixer, RotorDrive
 from dronevio.sim.physics.gains import Gains
-from dronevio.sim.physics.rotors import ground_effect
+from dronevio.sim.physics.ground_effect import GroundEffect
 
 _GRAVITY = np.array([0.0, 0.0, GRAVITY_M_S2])
 _ZERO = np.zeros(3)
@@ -67,6 +67,8 @@ class Cascade:
         self._gains = gains
         self._interval_s = interval_s
         self._mixer = Mixer(quadrotor)
+        self._ground = GroundEffect(quadrotor)
+        self._rotor_count = float(quadrotor.rotor_count)
         self._drive = RotorDrive(quadrotor, gains.rotor_response_s, interval_s)
         self._force = DisturbanceObserver(gains.force_observer_rad_s, gains.force_max_m_s2, interval_s)
         self._torque = DisturbanceObserver(gains.torque_observer_rad_s, gains.torque_max_rad_s2, interval_s)
@@ -81,7 +83,7 @@ class Cascade:
         """Return the state of vehicles in steady motion.
 
         Args:
-            rotor_speeds_rad_s: (…, 4) Rotor speeds [rad/s].
+            rotor_speeds_rad_s: (…, R) Rotor speeds [rad/s].
             velocity_m_s: (…, 3) Velocities in the world frame [m/s].
             rate_rad_s: (…, 3) Angular velocities in the vehicle frame [rad/s].
         """
@@ -92,8 +94,7 @@ class Cascade:
         """Return the loads on the body."""
         momentum = self._inertia * body.rate_rad_s
         momentum[..., 2] += self.quadrotor.rotor_inertia_kg_m2 * np.vecdot(state.drive.speeds_rad_s, self._spins)
-        lift = ground_effect(self.quadrotor, body.position_m[..., 2] + self.quadrotor.rotor_height_m)
-        return Loads(cross(body.rate_rad_s, momentum), lift)
+        return Loads(cross(body.rate_rad_s, momentum), self._ground.mean_ratio(body.position_m[..., 2]))
 
     def observe(self, state: CascadeState, body: Body, loads: Loads) -> CascadeState:
         """Return the state after an update of the disturbance observers, for vehicles that fly freely."""
@@ -123,7 +124,7 @@ class Cascade:
             + _GRAVITY
         )
         size = np.sqrt(np.vecdot(force, force))
-        speeds = 4.0 * self._hover_speed * np.sqrt(size / GRAVITY_M_S2)
+        speeds = self._rotor_count * self._hover_speed * np.sqrt(size / GRAVITY_M_S2)
         return np.asarray(force - self._drag(force / size[..., None], velocity_m_s, speeds))
 
     def angular_acceleration(
@@ -152,7 +153,7 @@ class Cascade:
     def commands(
         self, state: CascadeState, loads: Loads, thrust_n: Array, angular_acceleration_rad_s2: Array
     ) -> tuple[Array, CascadeState]:
-        """Return the commands (…, 4) of rotor speeds [rad/s] for the next interval, and the state after it.
+        """Return the commands (…, R) of rotor speeds [rad/s] for the next interval, and the state after it.
 
         Args:
             state: State of the control loops.
@@ -168,7 +169,7 @@ class Cascade:
 
     def stopped(self, state: CascadeState) -> CascadeState:
         """Return the state after an interval with commands of 0."""
-        _, drive = self._drive.towards(state.drive, np.zeros(4))
+        _, drive = self._drive.towards(state.drive, np.zeros_like(state.drive.speeds_rad_s))
         return CascadeState(drive, state.force, state.torque, state.yaw_drag_nm)
 
     def _modelled_acceleration(self, state: CascadeState, body: Body, loads: Loads) -> Array:
@@ -208,7 +209,7 @@ class Cascade:
         (1 + T s) times the drag, with T = J / (2 k_m ω) (Smeur, Chu, de Croon 2016). The inverse of this is applied.
         """
         drone = self.quadrotor
-        mean = 0.25 * np.add.reduce(state.drive.speeds_rad_s, axis=-1)
+        mean = np.add.reduce(state.drive.speeds_rad_s, axis=-1) / self._rotor_count
         speed = np.maximum(mean, IDLE_SHARE * drone.rotor_speed_max_rad_s)
         ratio = 2.0 * drone.torque_nm_per_rad2_s2 * speed / drone.rotor_inertia_kg_m2
         decay = -self._interval_s * ratio

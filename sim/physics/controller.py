@@ -45,14 +45,14 @@ class SE3Controller:
         self._cascade = Cascade(quadrotor or RESEARCH, gains or Gains(), course.interval_ns * 1e-9)
         self._ground_m, self._airborne = float(start.position_m[2]), start.flying
         speed = self._cascade.quadrotor.hover_speed_rad_s if self._airborne else 0.0
-        self._state = self._cascade.at(np.full(4, speed), np.zeros(3), np.zeros(3))
+        self._state = self._cascade.at(np.full(self._cascade.quadrotor.rotor_count, speed), np.zeros(3), np.zeros(3))
         self._observing = False
         self._T_imu_vehicle = inverse_pose(T_vehicle_imu)
         self._R_vehicle_imu = T_vehicle_imu[:3, :3]
         self._lever = T_vehicle_imu[:3, 3]
 
     def command(self, state: NavState, t_ns: int) -> Array:
-        """Return rotor speeds (4,) [rad/s] for the state at ``t_ns``; zeros while the drone is to stand.
+        """Return rotor speeds (R,) [rad/s] for the state at ``t_ns``; zeros while the drone is to stand.
 
         Raises:
             ConfigError: The state has no angular velocity, or the reference ends before ``t_ns``.
@@ -60,7 +60,7 @@ class SE3Controller:
         point, cascade = self._course.point(t_ns), self._cascade
         if not point.flying:
             self._state = cascade.stopped(self._state)
-            return np.zeros(4)
+            return np.zeros_like(self._state.drive.speeds_rad_s)
         body = self._body(state)
         loads = cascade.loads(self._state, body)
         if self._has_taken_off(point):

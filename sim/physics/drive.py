@@ -16,15 +16,20 @@ IDLE_SHARE = 0.1
 
 
 class Mixer:
-    """Control allocation with priorities under the limits of the rotor speeds."""
+    """Control allocation with priorities under the limits of the rotor speeds.
+
+    Of the squared speeds of more than four rotors with the desired thrust and torques, those with the least sum of
+    squares are taken. Thrust alone is then shared equally, as equal speeds do not turn a `Quadrotor`.
+    """
 
     def __init__(self, quadrotor: Quadrotor) -> None:
-        self._inverse = np.linalg.inv(quadrotor.allocation)
+        allocation = quadrotor.allocation
+        self._inverse = np.linalg.inv(allocation) if len(allocation.T) == 4 else np.linalg.pinv(allocation)
         self._high = quadrotor.rotor_speed_max_rad_s**2
         self._low = IDLE_SHARE**2 * self._high
 
     def speeds(self, thrust_n: Array | float, torque_nm: Array) -> Array:
-        """Return rotor speeds (…, 4) [rad/s] for thrusts (…) and torques (…, 3) about x, y, z.
+        """Return rotor speeds (…, R) [rad/s] for thrusts (…) and torques (…, 3) about x, y, z.
 
         Where a rotor would leave its range, yaw is reduced first, then thrust, and roll and pitch last, since the tilt
         determines the path.
@@ -45,9 +50,9 @@ class DriveState(NamedTuple):
     """Modelled state of the rotors."""
 
     speeds_rad_s: Array
-    """(…, 4) Modelled speeds [rad/s]."""
+    """(…, R) Modelled speeds [rad/s]."""
     acceleration_rad_s2: Array
-    """(…, 4) Modelled mean accelerations until the next call [rad/s²]."""
+    """(…, R) Modelled mean accelerations until the next call [rad/s²]."""
 
 
 class RotorDrive:
@@ -73,11 +78,11 @@ class RotorDrive:
 
     @staticmethod
     def at(speeds_rad_s: Array) -> DriveState:
-        """Return the state of rotors at steady speeds (…, 4) [rad/s]."""
+        """Return the state of rotors at steady speeds (…, R) [rad/s]."""
         return DriveState(speeds_rad_s, np.zeros_like(speeds_rad_s))
 
     def towards(self, state: DriveState, wanted_rad_s: Array) -> tuple[Array, DriveState]:
-        """Return commands (…, 4) for the next interval toward desired speeds (…, 4) [rad/s], and the state after it."""
+        """Return commands (…, R) for the next interval toward desired speeds (…, R) [rad/s], and the state after it."""
         speeds = state.speeds_rad_s
         command = speeds + self._lead * (wanted_rad_s - speeds)
         command = np.minimum(np.maximum(command, 0.0), self._fastest)

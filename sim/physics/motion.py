@@ -57,7 +57,7 @@ class Motion:
     twist_between: Array
     """(N + 1, 6) Twists at the times of ``pose_between``."""
     rotor_speeds_rad_s: Array
-    """(N, 4) Rotor speeds from each time stamp to the next [rad/s]."""
+    """(N, R) Rotor speeds from each time stamp to the next [rad/s]."""
 
     def at_interval(self, interval_ns: int) -> "Motion":
         """Return the motion at the time stamps of an IMU with another rate.

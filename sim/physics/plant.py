@@ -1,4 +1,4 @@
-"""Plant: MuJoCo's physics of a quadrotor in a world, on a clock of integer nanoseconds."""
+"""Plant: MuJoCo's physics of a multirotor in a world, on a clock of integer nanoseconds."""
 
 from collections.abc import Sequence
 from math import sqrt
@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.arrays import Array
+from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.quadrotor import RESEARCH, Quadrotor
 from dronevio.models.rig import Rig
@@ -16,7 +17,7 @@ from dronevio.models.state import NavState
 from dronevio.sim.physics.collisions import Collision, Moving
 from dronevio.sim.physics.motion import Motion
 from dronevio.sim.physics.mover_contacts import MoverContacts
-from dronevio.sim.physics.rotors import ALL_POWERED, Airflow, MotorFailure, Rotors
+from dronevio.sim.physics.rotors import Airflow, MotorFailure, Rotors
 from dronevio.sim.physics.simulation import MotionRecord, Simulation
 from dronevio.sim.physics.vehicle import imu_interval_ns, meeting_spec, physics_model, physics_steps, standing_pose
 from dronevio.sim.physics.wind import CALM, Air, Wind
@@ -57,7 +58,7 @@ class QuadrotorPlant:
             rng: Generator of the gusts.
 
         Raises:
-            ConfigError: The IMU rate is too low, or there are gusts without an ``rng``.
+            ConfigError: The IMU rate is too low, there is no such rotor to fail, or there are gusts without an ``rng``.
         """
         self.rig = rig
         self.quadrotor = quadrotor or RESEARCH
@@ -68,6 +69,11 @@ class QuadrotorPlant:
         self._rotors = Rotors(self.quadrotor)
         self._air = Air(wind, rng)
         self._failure = failure or MotorFailure(0, np.inf)
+        if self._failure.rotor >= self.quadrotor.rotor_count:
+            raise ConfigError(
+                f"failure of rotor {self._failure.rotor} of {self.quadrotor.rotor_count}; expected an index from 0 to"
+                f" {self.quadrotor.rotor_count - 1}"
+            )
         self._simulation = Simulation(physics_model(self.quadrotor, rig, self._step_s, surroundings), substeps)
         self._movers: MoverContacts | None = None
         if surroundings is not None and movers:
@@ -85,7 +91,7 @@ class QuadrotorPlant:
 
     @property
     def rotor_speeds_rad_s(self) -> Array:
-        """(4,) Speeds of the rotors [rad/s]."""
+        """(R,) Speeds of the rotors [rad/s]."""
         return self._state.speed_rad_s.copy()
 
     @property
@@ -131,10 +137,11 @@ class QuadrotorPlant:
             T_world_vehicle: (4, 4) Pose; standing on the floor by default.
             velocity_m_s: (3,) Velocity of the centre of mass in the world [m/s]; 0 by default.
             rate_rad_s: (3,) Angular velocity in the vehicle frame [rad/s]; 0 by default.
-            rotor_speeds_rad_s: (4,) Rotor speeds [rad/s]; 0 by default.
+            rotor_speeds_rad_s: (R,) Rotor speeds [rad/s]; 0 by default.
         """
         self._simulation.place(self._standing, T_world_vehicle, velocity_m_s, rate_rad_s)
-        self._state = self._rotors.steady_state(np.zeros(4) if rotor_speeds_rad_s is None else rotor_speeds_rad_s)
+        standstill = np.zeros(self.quadrotor.rotor_count)
+        self._state = self._rotors.steady_state(standstill if rotor_speeds_rad_s is None else rotor_speeds_rad_s)
         self._air.reset()
         self._collision: Collision | None = None
         self._sensed = 0
@@ -142,7 +149,7 @@ class QuadrotorPlant:
         self._record = MotionRecord(motion, self._run_interval(0, motion), self._state.speed_rad_s)
 
     def advance(self, t_ns: int, command: Array) -> None:
-        """Apply a command (4,) of rotor speeds [rad/s] up to the last IMU time stamp not after ``t_ns``."""
+        """Apply a command (R,) of rotor speeds [rad/s] up to the last IMU time stamp not after ``t_ns``."""
         command = np.asarray(command, dtype=np.float64)
         while (now_ns := self.t_ns + self.interval_ns) <= t_ns:
             motion = self._simulation.motion()
@@ -150,7 +157,7 @@ class QuadrotorPlant:
             self._record.add(now_ns, motion, self._run_interval(now_ns, motion), self._state.speed_rad_s)
 
     def step_until(self, t_ns: int, command: Array) -> ImuSamples:
-        """Apply a command (4,) of rotor speeds [rad/s] until ``t_ns`` and return the new noise-free IMU samples.
+        """Apply a command (R,) of rotor speeds [rad/s] until ``t_ns`` and return the new noise-free IMU samples.
 
         The first call includes the sample of t = 0. The last sample is that of the last IMU time stamp not after
         ``t_ns``.
@@ -191,11 +198,11 @@ class QuadrotorPlant:
             angular_velocity_rad_s=rate @ T_vehicle_sensor[:3, :3],
         )
 
-    def _powered(self, t_ns: int) -> npt.NDArray[np.bool_]:
-        """Return which rotors (4,) have power during the interval that ends at a time [ns]."""
+    def _powered(self, t_ns: int) -> npt.NDArray[np.bool_] | None:
+        """Return which rotors (R,) have power during the interval that ends at a time [ns]; None for all."""
         if t_ns * 1e-9 <= self._failure.t_s:
-            return ALL_POWERED
-        return np.asarray(np.arange(4) != self._failure.rotor)
+            return None
+        return np.asarray(np.arange(self.quadrotor.rotor_count) != self._failure.rotor)
 
     def _run_interval(self, t_ns: int, motion: Array) -> Array:
         """Run the physics for the interval that starts at a time [ns] with a motion (13,).

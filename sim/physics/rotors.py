@@ -16,19 +16,17 @@ from dronevio.models.arrays import Array
 from dronevio.models.quadrotor import AIR_DENSITY_KG_M3, Quadrotor
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import skew
+from dronevio.models.rotors import MOST_ROTORS
+from dronevio.sim.physics.ground_effect import GroundEffect
 from dronevio.sim.physics.vehicle_states import Table, VehicleParameters
-
-ALL_POWERED = np.ones(4, dtype=bool)
-"""(4,) Mask of four rotors with power."""
-_NEAREST_GROUND = 0.5  # in rotor radii: below, the potential flow is singular and there are no measurements
 
 
 @dataclass(frozen=True)
 class MotorFailure(Settings):
     """Loss of power of a rotor, which is then decelerated by its drag only."""
 
-    rotor: Annotated[int, Range(0, 3)]
-    """Index of the rotor in `ROTOR_NAMES`."""
+    rotor: Annotated[int, Range(0, MOST_ROTORS - 1)]
+    """Index of the rotor in the order of motor commands."""
     t_s: Annotated[float, Range(low=0.0, infinite=True)]
     """Time of the failure since the start of the flight [s]."""
 
@@ -38,9 +36,9 @@ class RotorState(Table):
     """State of rotors and battery of one simulation or many."""
 
     speed_rad_s: Array
-    """(…, 4) Speeds of the rotors [rad/s]."""
+    """(…, R) Speeds of the rotors [rad/s]."""
     acceleration_rad_s2: Array
-    """(…, 4) Accelerations of the rotors over the last control step [rad/s²]."""
+    """(…, R) Accelerations of the rotors over the last control step [rad/s²]."""
     charge: Array
     """(…) State of charge of the battery, from 1 (full) to 0 (empty)."""
     voltage_v: Array
@@ -85,6 +83,7 @@ class Rotors:
         """
         self._quadrotor = quadrotor
         self._hubs, self._hub_twists, self._spins = _geometry(quadrotor)
+        self._ground = GroundEffect(quadrotor)
         self._body_drag = 0.5 * AIR_DENSITY_KG_M3 * np.array(quadrotor.drag_area_m2)
         across, along = quadrotor.drag_n_s2_per_rad_m, quadrotor.inflow_n_s2_per_rad_m
         self._rotor_drag = np.array([[across], [across], [along]])
@@ -100,7 +99,7 @@ class Rotors:
         self._coasting = self._torque / quadrotor.rotor_inertia_kg_m2
 
     def steady_state(self, speeds_rad_s: Array, charge: Array | float = 1.0) -> RotorState:
-        """Return the steady state of rotors at speeds (…, 4) [rad/s] with a charge (…), a full battery by default."""
+        """Return the steady state of rotors at speeds (…, R) [rad/s] with a charge (…), a full battery by default."""
         speeds = np.array(speeds_rad_s, dtype=np.float64)
         steady = np.zeros_like(speeds)
         charges = charge * np.ones(speeds.shape[:-1])
@@ -108,25 +107,25 @@ class Rotors:
         return RotorState(speeds, steady, charges, voltage)
 
     def step(
-        self, state: RotorState, commands_rad_s: Array, dt_s: float, powered: npt.NDArray[np.bool_] = ALL_POWERED
+        self, state: RotorState, commands_rad_s: Array, dt_s: float, powered: npt.NDArray[np.bool_] | None = None
     ) -> RotorState:
-        """Return the state after ``dt_s`` under constant commands (…, 4) of rotor speeds [rad/s].
+        """Return the state after ``dt_s`` under constant commands (…, R) of rotor speeds [rad/s].
 
         A speed follows its command as a first-order system, integrated exactly, up to the speed that the voltage of the
         battery allows. A rotor without power is decelerated by its drag, J ω̇ = −k_m ω², integrated exactly, too.
 
         Args:
             state: State at the start of the step.
-            commands_rad_s: (…, 4) Commands, clipped to [0, largest speed].
+            commands_rad_s: (…, R) Commands, clipped to [0, largest speed].
             dt_s: Length of the step [s].
-            powered: (…, 4) Mask of the rotors with power.
+            powered: (…, R) Mask of the rotors with power; all by default.
         """
         drone, before = self._quadrotor, state.speed_rad_s
         fastest = np.minimum(drone.rotor_speed_max_rad_s, drone.rotor_speed_per_v * state.voltage_v)[..., None]
         target = np.minimum(np.maximum(commands_rad_s, 0.0), fastest)
         driven = target + (before - target) * _exp(-dt_s / self._time_constant_s)
         speeds = driven
-        if powered is not ALL_POWERED:
+        if powered is not None:
             speeds = np.where(powered, driven, before / (1.0 + before * (self._coasting * dt_s)))
         change = (speeds - before) / dt_s
         voltage = drone.battery.loaded_v(state.charge, self._power_w(speeds, 0.0))
@@ -137,10 +136,10 @@ class Rotors:
         """Return force [N] and torque [N m] (…, 6) at the centre of mass, in the vehicle frame."""
         drone, speeds, velocity, rate = self._quadrotor, state.speed_rad_s, air.velocity_m_s, air.rate_rad_s
         batch, square = speeds.shape[:-1], speeds * speeds
-        hubs = (np.concatenate([velocity, rate], axis=-1) @ self._hub_twists.T).reshape(*batch, 3, 4)
+        hubs = (np.concatenate([velocity, rate], axis=-1) @ self._hub_twists.T).reshape(*batch, 3, -1)
         force = hubs * (-self._rotor_drag * speeds[..., None, :])
         force[..., 2, :] += self._lift(air) * square
-        wrench = force.reshape(*batch, 12) @ self._hub_twists
+        wrench = force.reshape(*batch, -1) @ self._hub_twists
         wrench[..., :3] -= self._body_drag * velocity * np.sqrt((velocity * velocity).sum(axis=-1, keepdims=True))
         turning = self._torque * square + drone.rotor_inertia_kg_m2 * state.acceleration_rad_s2
         momentum = drone.rotor_inertia_kg_m2 * (speeds @ self._spins)
@@ -150,11 +149,11 @@ class Rotors:
         return np.asarray(wrench)
 
     def _lift(self, air: Airflow) -> Array:
-        """Return the thrust of each rotor per squared speed (…, 4), with ground effect.
+        """Return the thrust of each rotor per squared speed (…, R), with ground effect.
 
         Each rotor has its own height, so that the ground effect levels a tilted drone; there is none upside down.
         """
-        gain = ground_effect(self._quadrotor, air.height_m[..., None] + air.up @ self._hubs.T) - 1.0
+        gain = self._ground.ratio(air.height_m[..., None] + air.up @ self._hubs.T) - 1.0
         return np.asarray(self._thrust * (1.0 + np.maximum(air.up[..., 2:], 0.0) * gain))
 
     def power_w(self, state: RotorState) -> Array:
@@ -166,20 +165,22 @@ class Rotors:
         drone = self._quadrotor
         torque = self._torque * speeds * speeds + drone.rotor_inertia_kg_m2 * change
         shaft = np.maximum(torque * speeds, 0.0)
-        shafts = shaft[..., 0] + shaft[..., 1] + shaft[..., 2] + shaft[..., 3]  # ten times as fast as a reduction
+        shafts = shaft[..., 0]
+        for k in range(1, shaft.shape[-1]):  # ten times as fast as a reduction
+            shafts = shafts + shaft[..., k]
         return np.asarray(drone.avionics_w + shafts / drone.motor_efficiency)
 
 
 @lru_cache(maxsize=16)
 def _geometry(quadrotor: Quadrotor) -> tuple[Array, Array, Array]:
-    """Return the positions (4, 3) of the hubs [m], the map (12, 6) to their velocities, and the directions of rotation.
+    """Return the positions (R, 3) of the hubs [m], the map (3 R, 6) to their velocities, and their directions.
 
     The hubs move with v + Ω × r; forces f there sum up to Σ f and Σ r × f: the same matrix, transposed.
     """
     hubs = quadrotor.rotor_positions_m
     levers = np.swapaxes(skew(hubs), 1, 2)
-    hub_twists = np.concatenate([np.tile(np.eye(3), (4, 1, 1)), levers], axis=2)
-    arrays = hubs, np.ascontiguousarray(hub_twists.transpose(1, 0, 2).reshape(12, 6)), quadrotor.rotor_directions
+    hub_twists = np.concatenate([np.tile(np.eye(3), (len(hubs), 1, 1)), levers], axis=2)
+    arrays = hubs, np.ascontiguousarray(hub_twists.transpose(1, 0, 2).reshape(-1, 6)), quadrotor.rotor_directions
     for array in arrays:
         array.flags.writeable = False  # shared between all models of the vehicle type
     return arrays
@@ -188,19 +189,3 @@ def _geometry(quadrotor: Quadrotor) -> tuple[Array, Array, Array]:
 def _exp(x: Array | float) -> Array | float:
     """Return the exponential of a number, for which `math.exp` is faster, or of an array."""
     return exp(x) if isinstance(x, float) else np.exp(x)
-
-
-def ground_effect(quadrotor: Quadrotor, height_m: Array) -> Array:
-    """Return the ratio of thrust near the ground to that in free air, at heights (…) of a rotor [m].
-
-    The model is potential flow with an image of each of the four rotors below the ground (Sanchez-Cuevas, Heredia,
-    Ollero, "Characterization of the aerodynamic ground effect and its influence in multirotor control", Int. J.
-    Aerospace Engineering 2017), without its last term, the fountain effect on the body, which requires measurements of
-    each vehicle.
-    """
-    R, d = quadrotor.rotor_radius_m, quadrotor.arm_m * np.sqrt(2.0)
-    z = np.maximum(height_m, _NEAREST_GROUND * R)
-    four = 4.0 * z * z
-    side, diagonal = d * d + four, 2.0 * d * d + four
-    images = 0.25 / four + z * (1.0 / (side * np.sqrt(side)) + 0.5 / (diagonal * np.sqrt(diagonal)))
-    return np.asarray(1.0 / (1.0 - R * R * images))

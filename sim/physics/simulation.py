@@ -64,7 +64,7 @@ class MotionRecord:
     """Motion of the physics at the IMU time stamps from t = 0 on, and between them."""
 
     def __init__(self, motion: Array, middle: Array, rotor_speeds_rad_s: Array) -> None:
-        """Take the motion (13,) at t = 0 and half an interval later, and the rotor speeds (4,) in between [rad/s]."""
+        """Take the motion (13,) at t = 0 and half an interval later, and the rotor speeds (R,) in between [rad/s]."""
         self.t_ns = [0]
         self.rows = [motion]
         self._rotor_speeds = [rotor_speeds_rad_s]
@@ -82,5 +82,5 @@ class MotionRecord:
         rows = np.array(self.rows[first:]).reshape(-1, 13)
         between = np.array(self._between[first:])
         times = np.array(self.t_ns[first:], dtype=np.int64)
-        speeds = np.array(self._rotor_speeds[first:]).reshape(-1, 4)
+        speeds = np.array(self._rotor_speeds[first:]).reshape(-1, len(self._rotor_speeds[0]))
         return Motion(times, step_s, rows[:, :7], rows[:, 7:], between[:, :7], between[:, 7:], speeds)

@@ -12,6 +12,8 @@ from dronevio.models.quadrotor import ROTOR_NAMES, Quadrotor
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.sim.physics.collisions import COLLISION_GROUP, add_floor, add_movers, add_static_geoms
+from dronevio.sim.physics.generated_body import generated_spec
+from dronevio.sim.physics.own_body import own_spec
 
 LONGEST_STEP_S = 1e-3
 """Longest time step of the physics [s]; the step divides the IMU interval."""
@@ -37,16 +39,55 @@ def physics_steps(interval_s: float) -> int:
 
 
 def quadrotor_spec(quadrotor: Quadrotor, rig: Rig) -> mujoco.MjSpec:
-    """Return the specification of the vehicle with its parameters and the site of the IMU."""
-    spec = mujoco.MjSpec.from_file(str(quadrotor.mjcf))
+    """Return the specification of the vehicle with its parameters and the sites of the rotors and the IMU.
+
+    Raises:
+        ConfigError: The packaged file of the body shows other rotors.
+        InputError: The MJCF file of the vehicle is missing, damaged or not permitted.
+    """
+    if quadrotor.mjcf_file is None and quadrotor.mjcf is not None:
+        spec = _packaged_spec(quadrotor)
+    else:
+        spec = generated_spec(quadrotor) if quadrotor.mjcf_file is None else own_spec(quadrotor.mjcf_file)
+        _complete(spec, quadrotor)
     body = spec.body("quadrotor")
     body.mass = quadrotor.mass_kg
     body.inertia = quadrotor.inertia_kg_m2
-    for name, position in zip(ROTOR_NAMES, quadrotor.rotor_positions_m, strict=True):
-        spec.site(name).pos = position
     T = rig.T_vehicle_imu
     body.add_site(name="imu", pos=T[:3, 3], quat=quat_wxyz_from_matrix(T[:3, :3]), size=[0.005] * 3, group=4)
     return spec
+
+
+def _packaged_spec(quadrotor: Quadrotor) -> mujoco.MjSpec:
+    """Return the specification of a file of the package, with the sites of four rotors in place.
+
+    Raises:
+        ConfigError: The vehicle has another number of rotors.
+    """
+    if quadrotor.rotor_count != len(ROTOR_NAMES):
+        raise ConfigError(
+            f"mjcf_name = {quadrotor.mjcf_name!r}, a quadrotor, for {quadrotor.rotor_count} rotors; expected None, for"
+            " a generated body"
+        )
+    spec = mujoco.MjSpec.from_file(str(quadrotor.mjcf))
+    for name, position in zip(ROTOR_NAMES, quadrotor.rotor_positions_m, strict=True):
+        spec.site(name).pos = position
+    return spec
+
+
+def _complete(spec: mujoco.MjSpec, quadrotor: Quadrotor) -> None:
+    """Add to a body what the packaged files have: joint, centre of mass, sites, and the wrench as controls."""
+    body = spec.body("quadrotor")
+    body.add_freejoint(name="quadrotor")
+    body.explicitinertial = True
+    body.ipos, body.iquat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
+    size = [0.02 * quadrotor.reach_m] * 3
+    body.add_site(name="vehicle", size=size, group=4)
+    for k, position in enumerate(quadrotor.rotor_positions_m):
+        body.add_site(name=f"rotor_{k}", pos=position, size=size, group=4)
+    for k, name in enumerate(f"{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz"):
+        actuator = spec.add_actuator(name=name, trntype=mujoco.mjtTrn.mjTRN_SITE, target="vehicle")
+        actuator.gear = np.eye(6)[k]
 
 
 def physics_model(

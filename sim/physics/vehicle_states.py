@@ -67,7 +67,7 @@ class VehicleStates(Table):
     rate_rad_s: Array
     """(n, 3) Angular velocities in the vehicle frame [rad/s]."""
     rotor_speed_rad_s: Array
-    """(n, 4) Speeds of the rotors [rad/s]."""
+    """(n, R) Speeds of the rotors [rad/s]."""
     battery_charge: Array
     """(n,) States of charge of the batteries, from 1 (full) to 0 (empty)."""
     battery_v: Array
@@ -82,15 +82,20 @@ class VehicleStates(Table):
         rate_rad_s: npt.ArrayLike = 0.0,
         rotor_speed_rad_s: npt.ArrayLike = 0.0,
         battery_charge: npt.ArrayLike = 1.0,
+        *,
+        rotors: int = 4,
     ) -> Self:
-        """Return states at positions (n, 3) [m]; other values are broadcast to n rows, level and at rest by default."""
+        """Return states at positions (n, 3) [m]; other values are broadcast to n rows, level and at rest by default.
+
+        ``rotors`` is the number R of rotors of the vehicle (`Quadrotor.rotor_count`).
+        """
         n = len(position_m)
         return cls(
             np.array(position_m, dtype=np.float64),
             _filled(np.eye(3) if R_world_vehicle is None else R_world_vehicle, (n, 3, 3)),
             _filled(velocity_m_s, (n, 3)),
             _filled(rate_rad_s, (n, 3)),
-            _filled(rotor_speed_rad_s, (n, 4)),
+            _filled(rotor_speed_rad_s, (n, rotors)),
             _filled(battery_charge, (n,)),
             np.zeros(n),
         )

@@ -50,9 +50,9 @@ class ChaseCamera:
         self._scene = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + _MARKERS_MAX)
         self._options = mujoco.MjvOption()
         self._view = mujoco.MjvCamera()
-        self._view.distance = _DISTANCE_ARMS * quadrotor.arm_m
+        self._view.distance = _DISTANCE_ARMS * quadrotor.reach_m
         self._view.azimuth, self._view.elevation = _AZIMUTH_DEG, _ELEVATION_DEG
-        self._marker_m = _MARKER_ARMS * quadrotor.arm_m
+        self._marker_m = _MARKER_ARMS * quadrotor.reach_m
         self._rectangle = mujoco.MjrRect(0, 0, width, height)
         self._picture = np.empty((height, width, 3), np.uint8)
 

@@ -100,7 +100,8 @@ def test_python_examples_run(page: str, tmp_path: Path, monkeypatch: pytest.Monk
     shutil.copytree(villa, tmp_path / "photographs")
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
-    for name, code in re.findall(r"The file `(\w+\.\w+)`:\n\n```\w+\n(.*?)^```$", text_of(page), re.M | re.S):
+    files = r"The file\s`([\w-]+\.\w+)`:\n\n```\w+\n(.*?)^```$"
+    for name, code in re.findall(files, text_of(page), re.M | re.S):
         (tmp_path / name).write_text(code, encoding="utf-8")
     for code in blocks(page, "python"):
         compiled = compile(code, page, "exec")

@@ -7,7 +7,8 @@ import pytest
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import NANO, RESEARCH, VEHICLES, Quadrotor
-from dronevio.sim.physics.rotors import Airflow, MotorFailure, Rotors, RotorState, ground_effect
+from dronevio.sim.physics.ground_effect import GroundEffect
+from dronevio.sim.physics.rotors import Airflow, MotorFailure, Rotors, RotorState
 
 Array = np.ndarray
 UP = np.array([0.0, 0.0, 1.0])
@@ -204,9 +205,9 @@ def test_a_rotor_without_power_coasts_and_gives_no_torque(drone: Quadrotor) -> N
 def test_ground_effect_follows_cheeseman_and_bennett() -> None:
     R, lone = RESEARCH.rotor_radius_m, replace(RESEARCH, arm_m=10.0)
     heights = R * np.array([0.7, 1.0, 2.0, 4.0])
-    alone = ground_effect(lone, heights)
+    alone = GroundEffect(lone).ratio(heights)
     np.testing.assert_allclose(alone, 1.0 / (1.0 - (R / (4.0 * heights)) ** 2), rtol=1e-5)
-    four = ground_effect(RESEARCH, heights)
+    four = GroundEffect(RESEARCH).ratio(heights)
     assert np.all(four > alone)
     assert np.all(np.diff(four) < 0.0)
     assert four[0] < 1.4 and four[-1] < 1.02
@@ -214,9 +215,8 @@ def test_ground_effect_follows_cheeseman_and_bennett() -> None:
     d = RESEARCH.arm_m * np.sqrt(2.0)
     images = 1 / 16 + R**3 / (d**2 + 4 * R**2) ** 1.5 + 0.5 * R**3 / (2 * d**2 + 4 * R**2) ** 1.5
     np.testing.assert_allclose(four[1], 1.0 / (1.0 - images))
-    np.testing.assert_allclose(
-        ground_effect(RESEARCH, np.array([0.0, -1.0])), ground_effect(RESEARCH, np.array(0.5 * R))
-    )
+    lowest = GroundEffect(RESEARCH).ratio(np.array(0.5 * R))
+    np.testing.assert_allclose(GroundEffect(RESEARCH).ratio(np.array([0.0, -1.0])), lowest)
 
 
 def test_ground_effect_reduces_tilt_unless_inverted(drone: Quadrotor) -> None:
@@ -230,7 +230,7 @@ def test_ground_effect_reduces_tilt_unless_inverted(drone: Quadrotor) -> None:
 
 
 def test_invalid_failures_are_refused() -> None:
-    with pytest.raises(ConfigError, match="rotor = 4"):
-        MotorFailure(4, 1.0)
+    with pytest.raises(ConfigError, match="rotor = 16"):
+        MotorFailure(16, 1.0)
     with pytest.raises(ConfigError, match=r"t_s = -1\.0"):
         MotorFailure(0, -1.0)

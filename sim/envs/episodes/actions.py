@@ -1,19 +1,20 @@
-"""Action modes: the meaning of the four numbers of an action, and the inner control loops that fly them.
+"""Action modes: the meaning of the numbers of an action, and the inner control loops that fly them.
 
 All actions are in [−1, 1]. `ActionLimits` has the largest values; 0 commands hover or no motion in every mode. Thrusts
 and rotor speeds are interpolated linearly from 0 (at −1) over hover (at 0) to the largest value (at 1).
 
 | mode | numbers of an action |
 |---|---|
-| ``rotors`` | speeds of the rotors: front right, rear left, front left, rear right |
+| ``rotors`` | speeds of the R rotors in their order; of ``quad-x``: front right, rear left, front left, rear right |
 | ``rates`` | collective thrust, and angular velocity about x, y and z of the vehicle |
 | ``attitude`` | collective thrust, roll, pitch and yaw rate; positive roll tilts to the right, positive pitch forward |
 | ``velocity`` | velocity forward, to the left and up in the horizontal frame of the heading, and yaw rate |
 | ``position`` | place along x, y and z of the world from that of the start of the episode, and yaw rate |
 
-The vehicle frame is x forward, y left, z up. The inner loops of all modes but ``rotors`` run at the rate of the IMU on
-the true state, or on the estimate of an estimator if there is one, with the gains, the disturbance observers and the
-nominal parameters of the controller that flies the scenarios (`dronevio.sim.physics.cascade.Cascade`).
+The other modes have four numbers for every vehicle. The vehicle frame is x forward, y left, z up. The inner loops of
+all modes but ``rotors`` run at the rate of the IMU on the true state, or on the estimate of an estimator if there is
+one, with the gains, the disturbance observers and the nominal parameters of the controller that flies the scenarios
+(`dronevio.sim.physics.cascade.Cascade`).
 """
 
 from collections.abc import Callable
@@ -36,15 +37,19 @@ from dronevio.sim.physics.vehicle_states import VehicleStates
 class ActionMode(Protocol):
     """Interface of the inner loops of n vehicles."""
 
+    @property
+    def size(self) -> int:
+        """Number A of the numbers of an action."""
+
     def start(self, states: VehicleStates) -> Any:
         """Return the state of the loops at the start of flights: nested tuples of arrays with n rows."""
 
     def commands(self, loops: Any, actions: Array, states: Callable[[], VehicleStates]) -> tuple[Array, Any]:
-        """Return commands (n, 4) of rotor speeds [rad/s] for one IMU interval, and the next state of the loops.
+        """Return commands (n, R) of rotor speeds [rad/s] for one IMU interval, and the next state of the loops.
 
         Args:
             loops: State of the loops.
-            actions: (n, 4) Actions within [−1, 1].
+            actions: (n, A) Actions within [−1, 1].
             states: Function that returns the current states.
         """
 
@@ -54,6 +59,7 @@ class RotorSpeeds:
 
     def __init__(self, quadrotor: Quadrotor) -> None:
         self._speeds = [0.0, quadrotor.hover_speed_rad_s, quadrotor.rotor_speed_max_rad_s]
+        self.size = quadrotor.rotor_count
 
     def start(self, states: VehicleStates) -> tuple[()]:
         """Return an empty state."""
@@ -62,7 +68,7 @@ class RotorSpeeds:
     def commands(
         self, loops: tuple[()], actions: Array, states: Callable[[], VehicleStates]
     ) -> tuple[Array, tuple[()]]:
-        """Return the rotor speeds (n, 4) [rad/s]."""
+        """Return the rotor speeds (n, R) [rad/s]."""
         return np.interp(actions, [-1.0, 0.0, 1.0], self._speeds), loops
 
 
@@ -79,11 +85,13 @@ class SetPoint:
 
 
 Law = Callable[[Array, Body, Cascade, CascadeState, ActionLimits], SetPoint]
-"""Function from actions (n, 4) and the motion of n vehicles to their set points."""
+"""Function from actions (n, A) and the motion of n vehicles to their set points."""
 
 
 class ControlledFlight:
     """Modes with inner loops; implements `ActionMode`."""
+
+    size = 4
 
     def __init__(self, quadrotor: Quadrotor, limits: ActionLimits, law: Law, interval_s: float) -> None:
         """Define vehicle and mode.
@@ -104,13 +112,13 @@ class ControlledFlight:
     def commands(
         self, loops: CascadeState, actions: Array, states: Callable[[], VehicleStates]
     ) -> tuple[Array, CascadeState]:
-        """Return the rotor speeds (n, 4) [rad/s], and the next state of the loops."""
+        """Return the rotor speeds (n, R) [rad/s], and the next state of the loops."""
         return self.commands_by(self._law, loops, actions, states())
 
     def commands_by(
         self, law: Law, loops: CascadeState, actions: Array, now: VehicleStates
     ) -> tuple[Array, CascadeState]:
-        """Return the rotor speeds (n, 4) [rad/s] by a law, and the next state of the loops."""
+        """Return the rotor speeds (n, R) [rad/s] by a law, and the next state of the loops."""
         cascade = self._cascade
         body = Body(now.position_m, now.R_world_vehicle, now.velocity_m_s, now.rate_rad_s)
         loads = cascade.loads(loops, body)
@@ -132,6 +140,8 @@ class PositionState(NamedTuple):
 class PositionFlight:
     """Mode ``position``; implements `ActionMode`. The place of the start is part of the state of the loops."""
 
+    size = 4
+
     def __init__(self, quadrotor: Quadrotor, limits: ActionLimits, interval_s: float) -> None:
         """Define the vehicle; see `ControlledFlight`."""
         self._flight = ControlledFlight(quadrotor, limits, _velocity, interval_s)
@@ -144,7 +154,7 @@ class PositionFlight:
     def commands(
         self, loops: PositionState, actions: Array, states: Callable[[], VehicleStates]
     ) -> tuple[Array, PositionState]:
-        """Return the rotor speeds (n, 4) [rad/s], and the next state of the loops."""
+        """Return the rotor speeds (n, R) [rad/s], and the next state of the loops."""
         place_m, gains = loops.start_m + self._limits.position_m * actions[:, :3], Gains()
 
         def toward(actions: Array, body: Body, cascade: Cascade, state: CascadeState, limits: ActionLimits) -> SetPoint:
@@ -217,30 +227,30 @@ def action_mode(name: str, quadrotor: Quadrotor, limits: ActionLimits, interval_
     return ControlledFlight(quadrotor, limits, _LAWS[name], interval_s)
 
 
-def action_space() -> spaces.Space[Any]:
-    """Return the space of the actions of one environment."""
-    return spaces.Box(-1.0, 1.0, (4,), np.float32)
+def action_space(size: int) -> spaces.Space[Any]:
+    """Return the space of the actions of one environment, which have ``size`` numbers."""
+    return spaces.Box(-1.0, 1.0, (size,), np.float32)
 
 
-def checked_actions(actions: npt.ArrayLike, count: int) -> Array:
-    """Return the actions (n, 4) of ``count`` environments, clipped to [−1, 1].
+def checked_actions(actions: npt.ArrayLike, count: int, size: int) -> Array:
+    """Return the actions (n, A) of ``count`` environments, clipped to [−1, 1].
 
     Raises:
-        ConfigError: They are not n rows of four finite numbers.
+        ConfigError: They are not n rows of A = ``size`` finite numbers.
     """
     action = np.asarray(actions, dtype=np.float64)
-    if action.shape != (count, 4):
-        raise ConfigError(f"actions of shape {action.shape}; expected {(count, 4)}")
+    if action.shape != (count, size):
+        raise ConfigError(f"actions of shape {action.shape}; expected {(count, size)}")
     finite = np.isfinite(action)
     if not finite.all():
         row = int(np.argmin(finite.all(axis=1)))
-        raise ConfigError(f"action {action[row].tolist()} of environment {row}; expected four finite numbers")
+        raise ConfigError(f"action {action[row].tolist()} of environment {row}; expected {size} finite numbers")
     return np.clip(action, -1.0, 1.0)
 
 
 def _thrust_n(action: Array, quadrotor: Quadrotor) -> Array:
     """Return collective thrusts (n,) [N] of actions (n,)."""
-    per_square = 4.0 * quadrotor.thrust_n_per_rad2_s2
+    per_square = quadrotor.rotor_count * quadrotor.thrust_n_per_rad2_s2
     hover, fastest = quadrotor.hover_speed_rad_s, quadrotor.rotor_speed_max_rad_s
     return np.interp(action, [-1.0, 0.0, 1.0], [0.0, per_square * hover**2, per_square * fastest**2])
 

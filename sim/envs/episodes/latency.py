@@ -17,7 +17,7 @@ class DelayedActions:
     """Actions of n environments, each delayed by a whole number of IMU intervals."""
 
     recent: tuple[Array, ...]
-    """(n, 4) Actions of the last steps, the newest first; zeros before the start of an episode."""
+    """(n, A) Actions of the last steps, the newest first; zeros before the start of an episode."""
     delay: npt.NDArray[np.int64]
     """(n,) Delays in IMU intervals."""
     samples: int
@@ -26,10 +26,10 @@ class DelayedActions:
     """Length of an IMU interval [s]."""
 
     @classmethod
-    def none(cls, count: int, samples: int, interval_s: float) -> Self:
-        """Return zero actions of ``count`` environments without delay."""
+    def none(cls, count: int, samples: int, interval_s: float, size: int = 4) -> Self:
+        """Return zero actions of ``count`` environments, with ``size`` numbers each, without delay."""
         depth = int(np.ceil(LATENCY_MAX_S / interval_s / samples)) + 1
-        return cls((np.zeros((count, 4)),) * depth, np.zeros(count, dtype=np.int64), samples, interval_s)
+        return cls((np.zeros((count, size)),) * depth, np.zeros(count, dtype=np.int64), samples, interval_s)
 
     def restarted(self, mask: Mask, latency_s: Array) -> Self:
         """Return zero actions and latencies (n,) [s] in a mask (n,), at the start of its episodes."""
@@ -38,11 +38,11 @@ class DelayedActions:
         return replace(self, recent=recent, delay=np.where(mask, rounded, self.delay))
 
     def pushed(self, actions: Array) -> Self:
-        """Return the actions with those (n, 4) of a new step."""
+        """Return the actions with those (n, A) of a new step."""
         return replace(self, recent=(actions, *self.recent[:-1]))
 
     def at(self, interval: int) -> Array:
-        """Return the actions (n, 4) that take effect in an IMU interval of the current step."""
+        """Return the actions (n, A) that take effect in an IMU interval of the current step."""
         age = np.maximum(-((interval - self.delay) // self.samples), 0)
         oldest = int(age.max())
         if oldest == 0:

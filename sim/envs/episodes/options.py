@@ -9,7 +9,7 @@ environment of a vector.
 | ``quat_wxyz`` | (4,) | orientation, vehicle to world |
 | ``velocity_m_s`` | (3,) | velocity in the world frame [m/s] |
 | ``rate_rad_s`` | (3,) | angular velocity in the vehicle frame [rad/s] |
-| ``rotor_speed_rad_s`` | (4,) | rotor speeds [rad/s] |
+| ``rotor_speed_rad_s`` | (R,) | rotor speeds [rad/s] |
 | ``battery_charge`` | () | charge of the battery, from 1 (full) to 0 (empty) |
 | ``goal_m`` | (3,) | first goal of the task in the world [m]; not for ``track`` and ``race`` |
 | ``randomization`` | dict | values of the randomization by name, as in ``info["randomization"]`` |

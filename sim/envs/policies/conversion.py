@@ -16,7 +16,7 @@ import numpy as np
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.policies.network import ACTIVATIONS, Array32, Layer, Network, Scaling
-from dronevio.models.policies.policy import NamedShape, Policy, Provenance
+from dronevio.models.policies.policy import OWN_VEHICLE, NamedShape, Policy, Provenance
 from dronevio.models.quadrotor import VEHICLES, Quadrotor
 
 _PROGRAMS = ("dronevio", "numpy", "torch", "stable_baselines3")
@@ -159,12 +159,5 @@ def _array(tensor: Any) -> Array32:
 
 
 def _vehicle_name(vehicle: Quadrotor) -> str:
-    """Return the name of a vehicle.
-
-    Raises:
-        ConfigError: It has none.
-    """
-    for name, known in VEHICLES.items():
-        if known == vehicle:
-            return name
-    raise ConfigError(f"a vehicle without a name; expected one of {', '.join(VEHICLES)}")
+    """Return the name of a vehicle; `OWN_VEHICLE` if it has none."""
+    return next((name for name, known in VEHICLES.items() if known == vehicle), OWN_VEHICLE)

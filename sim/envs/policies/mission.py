@@ -8,8 +8,8 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.policies.outcome import PolicyOutcome
-from dronevio.models.policies.policy import Policy
-from dronevio.models.quadrotor import vehicle_named
+from dronevio.models.policies.policy import OWN_VEHICLE, Policy
+from dronevio.models.quadrotor import Quadrotor, vehicle_named
 from dronevio.models.rotation import inverse_pose
 from dronevio.sim.envs.episodes.endings import GROUND_M, Bounds, Termination, failures
 from dronevio.sim.envs.tasks import TASKS, AnyTask, Race, Transition
@@ -53,6 +53,17 @@ class PolicyMission:
         return round((plan.initial_rest_s + plan.takeoff_s + _SETTLE_S) * 1e9)
 
 
+def vehicle_of_policy(policy: Policy) -> Quadrotor:
+    """Return the vehicle of a policy by its name; the policy may have been downloaded, and names no files or modules.
+
+    Raises:
+        ConfigError: It is a vehicle of one's own, or there is none of this name.
+    """
+    if policy.vehicle == OWN_VEHICLE:
+        raise ConfigError("a policy for a vehicle of one's own; expected the vehicle, such as --vehicle my-hexa.yaml")
+    return vehicle_named(policy.vehicle)
+
+
 def policy_mission(
     policy: Policy, base: Scenario, *, own_world: bool = True, own_vehicle: bool = True
 ) -> PolicyMission:
@@ -65,7 +76,8 @@ def policy_mission(
         own_vehicle: Whether the vehicle of the policy replaces that of the scenario.
 
     Raises:
-        ConfigError: The task of the policy does not begin with a hover above the landing pad.
+        ConfigError: The task of the policy does not begin with a hover above the landing pad, or its vehicle has no
+            name.
     """
     name = policy.environment.removeprefix("dronevio/").rpartition("-v")[0].lower()
     if name not in FLOWN_TASKS:
@@ -74,7 +86,7 @@ def policy_mission(
     if isinstance(task, Race):
         task = replace(task, on_course=0.0)
     world = resolved_world(task.world if own_world else base.world)
-    quadrotor = vehicle_named(policy.vehicle) if own_vehicle else base.quadrotor
+    quadrotor = vehicle_of_policy(policy) if own_vehicle else base.quadrotor
     plan = FlightPlan(
         initial_rest_s=base.plan.initial_rest_s,
         takeoff_s=base.plan.takeoff_s,

@@ -59,8 +59,8 @@ class PolicyPilot:
             mission: Policy, task, goals and scenario of the flight.
 
         Raises:
-            ConfigError: The policy observes what a drone in flight does not have, or the rate of the IMU of the
-                scenario is no multiple of the rate of the actions.
+            ConfigError: The policy observes what a drone in flight does not have, its actions are not those of the
+                vehicle, or the rate of the IMU of the scenario is no multiple of the rate of the actions.
         """
         policy, rig, quadrotor = mission.policy, mission.scenario.rig, mission.scenario.quadrotor
         for name in policy.names:
@@ -74,10 +74,15 @@ class PolicyPilot:
             )
         self._mission, self._intervals, self._interval_s = mission, round(intervals), 1.0 / rig.imu.rate_hz
         self._mode = action_mode(policy.action_mode, quadrotor, policy.action_limits, self._interval_s)
+        if policy.network.outputs != self._mode.size:
+            raise ConfigError(
+                f"a policy with actions of {policy.network.outputs} numbers for a vehicle with {quadrotor.rotor_count}"
+                f" rotors; expected {self._mode.size}"
+            )
         self._rotors = _RotorModel(quadrotor, self._interval_s)
         self._imu: deque[Array] = deque([np.zeros(6)] * self._intervals, self._intervals)
-        self._flown = _Flown(mission.goals)
-        limits = limits_of([mission.area], self._objective(mission.goals), quadrotor, self._intervals)
+        self._flown = _Flown(mission.goals, np.zeros((1, self._mode.size)))
+        limits = limits_of([mission.area], self._objective(mission.goals), quadrotor, self._intervals, self._mode.size)
         self._named = {name: observation_named(name, limits) for name in policy.names}
         self._randomized = RandomizedParameters.nominal(1, mission.scenario.seed)
         self._limits = replace(mission.bounds, box_m=np.array([[[-np.inf] * 3, [np.inf] * 3]]))
@@ -119,7 +124,7 @@ class PolicyPilot:
         return _TakeOff(SE3Controller(course, T_vehicle_imu, quadrotor), self, self._mission.begins_ns)
 
     def command(self, state: NavState) -> Array:
-        """Return the rotor speeds (4,) [rad/s] for one interval of the IMU.
+        """Return the rotor speeds (R,) [rad/s] for one interval of the IMU.
 
         Args:
             state: True or estimated state of the IMU in the world, with its angular velocity.
@@ -127,7 +132,8 @@ class PolicyPilot:
         Raises:
             ConfigError: The state has no angular velocity.
         """
-        rotating = VehicleStates.at(np.zeros((1, 3)), rotor_speed_rad_s=self._rotors.speeds_rad_s)
+        speeds = self._rotors.speeds_rad_s
+        rotating = VehicleStates.at(np.zeros((1, 3)), rotor_speed_rad_s=speeds, rotors=len(speeds))
         now = Perceived.of(state, self._mission.scenario.rig.T_vehicle_imu).states(rotating)
         flown = self._flown
         if flown.began_ns is None:
@@ -139,7 +145,7 @@ class PolicyPilot:
         return self.commanded(commands[0])
 
     def commanded(self, command: Array) -> Array:
-        """Return rotor commands (4,) [rad/s], after they have been applied to the model of the rotors."""
+        """Return rotor commands (R,) [rad/s], after they have been applied to the model of the rotors."""
         self._rotors.command(command)
         return command
 
@@ -181,14 +187,14 @@ class _Flown:
 
     goals: Any
     """Goals and progress of the task."""
+    action: Array
+    """(1, A) Last action."""
     calls: int = 0
     """Number of commands."""
     began_ns: int | None = None
     """Time of the first state [ns]."""
     loops: Any = ()
     """State of the inner control loops."""
-    action: Array = field(default_factory=lambda: np.zeros((1, 4)))
-    """(1, 4) Last action."""
     before: VehicleStates = field(default_factory=lambda: VehicleStates.at(np.zeros((1, 3))))
     """State at the last action."""
     ended: bool = False
@@ -202,7 +208,7 @@ class _TakeOff:
         self._controller, self._pilot, self._until_ns = controller, pilot, until_ns
 
     def command(self, state: NavState, t_ns: int) -> Array:
-        """Return the rotor speeds (4,) [rad/s] for the state at a time of the reference."""
+        """Return the rotor speeds (R,) [rad/s] for the state at a time of the reference."""
         if t_ns < self._until_ns:
             return self._pilot.commanded(self._controller.command(state, t_ns))
         return self._pilot.command(state)
@@ -213,8 +219,8 @@ class _RotorModel:
 
     def __init__(self, quadrotor: Quadrotor, interval_s: float) -> None:
         self._share = 1.0 - np.exp(-interval_s / quadrotor.rotor_time_constant_s)
-        self.speeds_rad_s = np.zeros(4)
+        self.speeds_rad_s = np.zeros(quadrotor.rotor_count)
 
     def command(self, command: Array) -> None:
-        """Apply commands (4,) [rad/s] for one interval."""
+        """Apply commands (R,) [rad/s] for one interval."""
         self.speeds_rad_s = self.speeds_rad_s + self._share * (command - self.speeds_rad_s)

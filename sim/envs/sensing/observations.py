@@ -9,7 +9,7 @@
 | ``velocity`` | (3,) | velocity of the centre of mass in the world frame [m/s] |
 | ``body_velocity`` | (3,) | velocity of the centre of mass in the vehicle frame [m/s] |
 | ``rate`` | (3,) | angular velocity in the vehicle frame [rad/s] |
-| ``rotors`` | (4,) | rotor speeds relative to the largest speed |
+| ``rotors`` | (R,) | rotor speeds relative to the largest speed |
 | ``battery`` | (1,) | charge of the battery, from 1 (full) to 0 (empty) |
 | ``imu`` | (N, 6) | IMU samples since the last action in time order, with errors: angular velocity [rad/s] and \
 specific force [m/s²] in the IMU frame |
@@ -20,7 +20,7 @@ only in the task Race |
 world; layers from below, then cells from behind to ahead and from right to left, by the heading alone |
 | ``ranges`` | (R, C) | distances along the beams of a range sensor, with errors, rows from above, columns from the \
 left [m] |
-| ``last_action`` | (4,) | action of the last step; zeros after a reset |
+| ``last_action`` | (A,) | action of the last step; zeros after a reset |
 | ``parameters`` | (14,) | drawn values of the randomization: mass, inertia (3), rotor time constant, thrust and drag \
 as factors, wind (3) [m/s], gusts, latency [s], and errors of the IMU as a factor, light |
 | ``wind`` | (3,) | velocity of the air at the vehicle in the world frame [m/s] |
@@ -93,7 +93,7 @@ class ObservedState:
     wind_m_s: Callable[[], Array]
     """Function that returns the velocities (n, 3) of the air in the world frame [m/s]."""
     last_action: Array
-    """(n, 4) Actions of the last step."""
+    """(n, A) Actions of the last step."""
     randomized: RandomizedParameters
     """Randomized parameters of the episodes."""
     map_around: Callable[[VehicleStates], Array] | None = None
@@ -112,8 +112,12 @@ class Limits:
     """Bound of heights above the floor [m]."""
     floor_m: float
     """Height of the floor in the world [m]."""
+    rotors: int
+    """Number of rotors."""
     rotor_speed_rad_s: float
     """Largest rotor speed [rad/s]."""
+    action_size: int
+    """Number of the numbers of an action."""
     samples: int
     """Number of IMU samples per action."""
     goals: int
@@ -131,6 +135,7 @@ def limits_of(
     objective: Objective,
     quadrotor: Quadrotor,
     samples: int,
+    action_size: int,
     map_shape: tuple[int, ...] = (),
     beams: BeamSettings = DEFAULT_BEAMS,
 ) -> Limits:
@@ -141,6 +146,7 @@ def limits_of(
         objective: Goals of any number of vehicles.
         quadrotor: The type of the vehicles.
         samples: Number of IMU samples per action.
+        action_size: Number of the numbers of an action.
         map_shape: Shape of the observed part of a map; empty without one.
         beams: Settings of the range sensor.
     """
@@ -149,7 +155,9 @@ def limits_of(
         reach_m=float(np.linalg.norm(extents)),
         height_m=float(extents[2]),
         floor_m=float(areas[0].pad[2]),
+        rotors=quadrotor.rotor_count,
         rotor_speed_rad_s=quadrotor.rotor_speed_max_rad_s,
+        action_size=action_size,
         samples=samples,
         goals=objective.position_m.shape[1],
         has_gates=bool(objective.size_m.any()),
@@ -284,7 +292,7 @@ def _rate(limits: Limits) -> Observation:
 
 def _rotors(limits: Limits) -> Observation:
     fastest = limits.rotor_speed_rad_s
-    return Observation(_box((4,), 0.0, 1.0), lambda s: s.states.rotor_speed_rad_s / fastest)
+    return Observation(_box((limits.rotors,), 0.0, 1.0), lambda s: s.states.rotor_speed_rad_s / fastest)
 
 
 def _battery(limits: Limits) -> Observation:
@@ -335,7 +343,7 @@ def _ranges(limits: Limits) -> Observation:
 
 
 def _last_action(limits: Limits) -> Observation:
-    return Observation(_symmetric((4,), 1.0), lambda s: s.last_action)
+    return Observation(_symmetric((limits.action_size,), 1.0), lambda s: s.last_action)
 
 
 def _parameters(limits: Limits) -> Observation:

@@ -46,9 +46,9 @@ class Transition:
     after: VehicleStates
     """States after the step."""
     action: Array
-    """(n, 4) Actions of the step."""
+    """(n, A) Actions of the step."""
     previous_action: Array
-    """(n, 4) Actions of the step before; zeros in the first step of an episode."""
+    """(n, A) Actions of the step before; zeros in the first step of an episode."""
     t_s: Array
     """(n,) Times since the start of the episodes, at the end of the step [s]."""
     failed: Mask
@@ -97,6 +97,7 @@ class Start(Settings):
             self.velocity_m_s * deviation[2],
             self.rate_rad_s * deviation[3],
             quadrotor.hover_speed_rad_s,
+            rotors=quadrotor.rotor_count,
         )
 
 

@@ -138,7 +138,8 @@ class VioHover(BaseTask):
         pad = np.tile(area.pad, (count, 1))
         hover = pad + [0.0, 0.0, self.height_m]
         never = np.full(count, np.inf)
-        return VehicleStates.at(pad), VioHoverGoals(pad, hover, np.zeros(count), never, np.zeros(count, dtype=np.bool_))
+        states = VehicleStates.at(pad, rotors=quadrotor.rotor_count)
+        return states, VioHoverGoals(pad, hover, np.zeros(count), never, np.zeros(count, dtype=np.bool_))
 
     def objective(self, goals: VioHoverGoals, t_s: Array) -> Objective:
         """Return the goals at times (n,) since the start [s]."""

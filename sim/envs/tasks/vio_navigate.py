@@ -90,7 +90,7 @@ class VioNavigate(Navigate):
         goal = drawn_goals(self, area, pad, rng)
         heading = goal - pad
         R = rotation_z(np.arctan2(heading[:, 1], heading[:, 0]))
-        return VehicleStates.at(pad, R), PointGoals(goal)
+        return VehicleStates.at(pad, R, rotors=quadrotor.rotor_count), PointGoals(goal)
 
     def reward_terms(self, before: PointGoals, goals: PointGoals, step: Transition) -> dict[str, Array]:
         """Return the terms of the reward."""

@@ -41,6 +41,9 @@ class EvaluateCommand(Settings):
     """Seed of the episodes: initial states, goals, and errors of the sensors."""
     randomization: Literal["none", "moderate"] = "none"
     """Distributions of mass, inertia, rotors, drag, wind, latency and sensor errors: none, or moderate ones."""
+    vehicle: str | None = None
+    """Vehicle that replaces that of the training: research, nano, a YAML file with a vehicle of your own, or
+    python:package.module:NAME."""
     world: str | None = None
     """World that replaces the one of the task; `dronevio worlds` lists them. A world of your own is a file,
     such as yard.yaml or yard.xml (MJCF), or python:package.module:NAME."""
@@ -74,6 +77,10 @@ def main(arguments: Sequence[str]) -> int:
         "world": command.world or "",
         "world_seed": command.world_seed,
     }
+    if command.vehicle is not None:
+        from dronevio.models.vehicles import vehicle_of
+
+        settings["vehicle"] = vehicle_of(command.vehicle)
     results: dict[Path, PolicyEvaluation] = {}
     with progress_bars(quiet=command.printing.json) as bars:
         for path, policy in policies.items():
@@ -104,6 +111,7 @@ def _document(command: EvaluateCommand, results: Mapping[Path, "PolicyEvaluation
         "episodes": command.episodes,
         "seed": command.seed,
         "randomization": command.randomization,
+        "vehicle": command.vehicle,
         "world": None if command.world is None else recorded_world(resolved_world(command.world)),
         "world_seed": command.world_seed,
         "policies": policies,
