@@ -58,7 +58,7 @@ def measurements(python: Path, name: str) -> list[dict[str, Any]]:
 
 def measure(command: GymSpeedCommand) -> None:
     """Measure all simulators and print the table."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for rate_hz, imu in ((50.0, True), (50.0, False), (500.0, False)):
         speed = environment_speed(command.count, round(0.5 * rate_hz), command.runs, rate_hz, imu)
         settings = f"{command.count} vehicles, actions {rate_hz:g} Hz{', IMU 200 Hz' if imu else ''}"

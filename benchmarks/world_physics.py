@@ -43,7 +43,8 @@ def _surroundings(plant: type, world: str) -> dict[str, Any]:
     """Return the arguments of a plant that describe a world."""
     from dronevio.sim.world import collision_spec, illumination_and_movers
 
-    parameters, spec, movers = inspect.signature(plant).parameters, collision_spec(world, 1), ()
+    parameters, spec = inspect.signature(plant).parameters, collision_spec(world, 1)
+    movers: Any = ()
     if {"movers", "worlds"} & set(parameters):
         movers = illumination_and_movers(world, 1)[1]
     if "worlds" in parameters:

@@ -117,7 +117,7 @@ def policy_envs(policy: Policy, count: int, *, environment: str = "", **settings
         "observations": policy.names,
     }
     envs = gymnasium.make_vec(name, num_envs=count, **{**arguments, **settings})
-    outputs, (size,) = policy.network.outputs, envs.unwrapped.single_action_space.shape
+    outputs, size = policy.network.outputs, int(np.prod(envs.unwrapped.single_action_space.shape or ()))
     if outputs != size:
         envs.close()
         raise ConfigError(f"a policy with actions of {outputs} numbers in {name}; expected {size}")

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import mujoco
@@ -170,7 +171,9 @@ def test_a_fall_on_the_propellers_of_a_generated_body_is_a_collision() -> None:
 
 
 @pytest.mark.parametrize("drone", [HEXA, COAXIAL], ids=["hexa", "coaxial"])
-def test_a_batch_equals_single_vehicles(drone: Quadrotor) -> None:
+def test_a_batch_is_the_limit_of_single_vehicles_at_small_time_steps(
+    drone: Quadrotor, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rng, count = np.random.default_rng(0), 2
     speeds = drone.hover_speed_rad_s * rng.uniform(0.8, 1.2, (count, drone.rotor_count))
     states = VehicleStates.at(
@@ -187,21 +190,29 @@ def test_a_batch_equals_single_vehicles(drone: Quadrotor) -> None:
     for command in commands:
         batch.advance(command)
     for k in range(count):
-        single = QuadrotorPlant(RIG, drone)
-        pose = pose_matrix(states.R_world_vehicle[k], states.position_m[k])
-        single.reset(pose, states.velocity_m_s[k], states.rate_rad_s[k], speeds[k])
-        for command in commands:
-            single.advance(single.t_ns + single.interval_ns, command[k])
-        T = single.vehicle_state().T_world_imu
-        np.testing.assert_allclose(batch.states.position_m[k], T[:3, 3], atol=1e-9)
-        np.testing.assert_allclose(batch.states.R_world_vehicle[k], T[:3, :3], atol=1e-9)
+        poses = []
+        for step_s in (5e-4, 2.5e-4):  # errors are proportional to the step
+            monkeypatch.setattr("dronevio.sim.physics.vehicle.LONGEST_STEP_S", step_s)
+            single = QuadrotorPlant(RIG, drone)
+            pose = pose_matrix(states.R_world_vehicle[k], states.position_m[k])
+            single.reset(pose, states.velocity_m_s[k], states.rate_rad_s[k], speeds[k])
+            for command in commands:
+                single.advance(single.t_ns + single.interval_ns, command[k])
+            poses.append(single.vehicle_state().T_world_imu)
+        T = 2.0 * poses[1] - poses[0]
+        np.testing.assert_allclose(batch.states.position_m[k], T[:3, 3], atol=1e-6)
+        np.testing.assert_allclose(batch.states.R_world_vehicle[k], T[:3, :3], atol=1e-6)
         np.testing.assert_allclose(batch.states.rotor_speed_rad_s[k], single.rotor_speeds_rad_s, atol=1e-9)
 
 
 @pytest.mark.parametrize("action", ["rotors", "rates", "velocity"])
 def test_environments_fly_a_hexacopter(action: str) -> None:
     observed = ("position", "rate", "rotors", "imu", "last_action")
-    arguments = {"vehicle": replace(HEXA, vibration=EUROC_VIBRATION), "action": action, "observations": observed}
+    arguments: dict[str, Any] = {
+        "vehicle": replace(HEXA, vibration=EUROC_VIBRATION),
+        "action": action,
+        "observations": observed,
+    }
     one = gymnasium.make("dronevio/Hover-v0", **arguments)
     many = gymnasium.make_vec("dronevio/Hover-v0", num_envs=1, **arguments)
     numbers = 6 if action == "rotors" else 4
