@@ -48,8 +48,9 @@ def test_errors_of_the_physics_are_those_of_mujoco(physics_errors: Any, capsys: 
 
 def test_rates_of_images_have_a_row_for_each_world(image_rates: Any) -> None:
     rates = [
-        ImageRate(world, kind, 64, 48, rate, 1.0)
-        for world, kind, rate in (("room", "grey", 99.6), ("room", "flow", 50.2), ("hall", "grey", 9.0))
+        ImageRate("room", "grey", 64, 48, 99.6, 1.0),
+        ImageRate("room", "flow", 64, 48, 50.2, 1.0),
+        ImageRate("hall", "grey", 64, 48, 9.0, 1.0),
     ]
     assert image_rates.rows_of(rates) == [("room", "100", "50"), ("hall", "9")]
     assert image_rates.size_of("64x48") == (64, 48)
