@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from PIL import Image as Pillow
 
 from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
@@ -137,6 +138,30 @@ def test_a_box_as_mesh_is_filled_exactly(written: Writer, tmp_path: Path) -> Non
     bounds = np.minimum(points - space.low, space.high - points).min(axis=1)
     np.testing.assert_allclose(space.clearance(points)[outside], np.minimum(expected, bounds)[outside], atol=1e-6)
     assert (space.clearance(points)[~outside] <= 0.0).all()
+
+
+def test_a_box_in_glb_is_the_box_in_obj(written: Writer, tmp_path: Path) -> None:
+    corners = np.array([[x, y, z] for x in (0, 2) for y in (0, 1) for z in (0, 3)], np.float64)
+    sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    faces = [[side[0], *pair] for side in sides for pair in (side[1:3], side[2:])]
+    (tmp_path / "block.glb").write_bytes(glb_of(corners, faces))
+    text = "size_m: [10, 10, 5]\noutdoors: true\nobstacles:\n  - {shape: mesh, file: block.glb, position_m: [3, 1]}"
+    space = solid_space(written(text), 0)
+    points = np.random.default_rng(2).uniform([1, -1, 0.1], [4.5, 3, 4.5], (300, 3))
+    expected = to_box(points, np.array([3.0, 1.0, 1.5]), np.array([1.0, 0.5, 1.5]), np.eye(3))
+    bounds = np.minimum(points - space.low, space.high - points).min(axis=1)
+    found, outside = space.clearance(points), expected > 0.0
+    np.testing.assert_allclose(found[outside], np.minimum(expected, bounds)[outside], atol=1e-6)
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.binary(max_size=8), st.integers(0, 600))
+def test_a_damaged_glb_is_refused_with_its_name(written: Writer, tmp_path: Path, noise: bytes, at: int) -> None:
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float64)
+    whole = glb_of(corners, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    (tmp_path / "block.glb").write_bytes(whole[:at] + noise)
+    name = written("size_m: [10, 10, 5]\nobstacles:\n  - {shape: mesh, file: block.glb, position_m: [3, 1]}")
+    assert "'block.glb': " in message(name) and "expected a mesh" in message(name)
 
 
 def test_the_boxes_of_a_mesh_hold_its_surface_and_its_inside() -> None:
@@ -285,15 +310,31 @@ def test_the_depth_of_a_box_is_its_distance(written: Writer) -> None:
     np.testing.assert_allclose(depth.ravel()[hits], 3.5, rtol=2e-3)  # along the optical axis
 
 
-def test_images_are_seen_on_boxes_and_meshes(written: Writer, tmp_path: Path) -> None:
+def glb_of(vertices: Array, faces: list[list[int]], uv: Array | None = None, picture: Array | None = None) -> bytes:
+    """Return a mesh with z up as GLB, by trimesh; a picture is in BGR."""
+    trimesh = pytest.importorskip("trimesh")
+    visual = None
+    if uv is not None and picture is not None:
+        visual = trimesh.visual.TextureVisuals(uv, image=Pillow.fromarray(picture[..., ::-1].astype(np.uint8)))
+    mesh = trimesh.Trimesh(vertices[:, [0, 2, 1]] * [1.0, 1.0, -1.0], faces, visual=visual, process=False)
+    return bytes(mesh.export(file_type="glb"))
+
+
+@pytest.mark.parametrize("kind", ["obj", "glb"])
+def test_images_are_seen_on_boxes_and_meshes(written: Writer, tmp_path: Path, kind: str) -> None:
     picture = np.zeros((64, 64, 3), np.uint8)
     picture[:32, :32, 2], picture[32:, 32:, 1] = 220, 220  # red (BGR) at the top left, green at the bottom right
     cv2.imwrite(str(tmp_path / "sign.png"), picture)
     corners = "v 0 -1 0\nv 0 1 0\nv 0 1 2\nv 0 -1 2\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
     (tmp_path / "sign.obj").write_text(corners + "f 2/1 1/2 4/3 3/4\n")  # seen from −x, y to the left
+    if kind == "glb":  # with the image in the file
+        vertices = np.array([[0, 1, 0], [0, -1, 0], [0, -1, 2], [0, 1, 2]], np.float64)
+        uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float64)
+        (tmp_path / "sign.glb").write_bytes(glb_of(vertices, [[0, 1, 2], [0, 2, 3]], uv, picture))
+    texture = ", texture: sign.png" if kind == "obj" else ""
     text = (
         "size_m: [20, 12, 5]\nobstacles:\n"
-        "  - {shape: mesh, file: sign.obj, texture: sign.png, position_m: [4, 2, 1.5]}\n"
+        f"  - {{shape: mesh, file: sign.{kind}{texture}, position_m: [4, 2, 1.5]}}\n"
         "  - {shape: box, size_m: [1, 2, 2], position_m: [4.5, -2, 1.5], texture: sign.png}\n"
     )
     model = build_world(written(text), 0).spec.compile()
@@ -404,7 +445,7 @@ def test_builders_in_modules_are_worlds(tmp_path: Path, monkeypatch: pytest.Monk
         ),
         (
             "size_m: [16, 12, 5]\nobstacles:\n  - {shape: mesh, file: ../x.obj, position_m: [3, 1]}",
-            ":3: obstacles.0.file: '../x.obj'; expected a file .obj or .stl in the folder of the world",
+            ":3: obstacles.0.file: '../x.obj'; expected a file .obj or .stl or .glb in the folder of the world",
         ),
         (
             "size_m: [16, 12, 5]\nobstacles:\n  - {shape: mesh, file: /etc/passwd, position_m: [3, 1]}",

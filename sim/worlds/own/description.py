@@ -4,7 +4,7 @@ Names of fields and limits are checked, with the line in messages. The page `doc
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -269,7 +269,10 @@ class Fields:
                 raise self.error("scale", f"a mesh of at most {_PART_M[1]:g} m instead of {longest_m:.3g} m")
         elif self.has("file"):
             raise self.error("file", "a file with the shape mesh only")
-        return Shape(kind, least, greatest, R, self.look("plain"), self.word("name", kind), mesh)
+        look = self.look("plain")
+        if mesh is not None and mesh.image is not None and not self.has("texture"):
+            look = replace(look, image=mesh.image)
+        return Shape(kind, least, greatest, R, look, self.word("name", kind), mesh)
 
     def _lengths(self, name: str, count: int, scattered: bool, kind: str) -> tuple[Array, Array]:
         """Return the smallest and largest lengths of a field, which are equal unless it is a range."""

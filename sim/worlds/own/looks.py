@@ -132,12 +132,20 @@ def decoded_image(content: bytes) -> Image:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             with Pillow.open(io.BytesIO(content), formats=("PNG", "JPEG")) as opened:
-                if max(opened.size) > _LARGEST_IMAGE_PX:
-                    raise ValueError(f"{opened.width} × {opened.height} px")
-                image = np.asarray(opened.convert("RGB"), dtype=np.uint8)
+                return reduced_image(opened)
     except (OSError, SyntaxError, Warning, Pillow.DecompressionBombError) as error:
         raise ValueError("no PNG or JPEG image") from error
-    kept = reduced_to(image, _KEPT_PX)
+
+
+def reduced_image(opened: Pillow.Image) -> Image:
+    """Return an image (H, W, 3) of Pillow, reduced to at most 2048 px, which cannot be changed.
+
+    Raises:
+        ValueError: It has more than 8192 px along a side.
+    """
+    if max(opened.size) > _LARGEST_IMAGE_PX:
+        raise ValueError(f"{opened.width} × {opened.height} px")
+    kept = reduced_to(np.asarray(opened.convert("RGB"), dtype=np.uint8), _KEPT_PX)
     kept.flags.writeable = False
     return kept
 

@@ -4,7 +4,7 @@ A mesh is solid where a lattice of cells along the axes of its frame touches its
 edge of the lattice's box is divided evenly, so that a mesh that is a box is filled exactly.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 
@@ -21,9 +21,12 @@ from dronevio.sim.appearance.prisms import UNPAINTED
 from dronevio.sim.appearance.scenery import facing
 from dronevio.sim.appearance.solids import Box
 from dronevio.sim.worlds.own.bodies import Body, Place
+from dronevio.sim.worlds.own.glb import glb_mesh
 from dronevio.sim.worlds.own.looks import Look
 
-SUFFIXES = (".obj", ".stl")
+MUJOCO_SUFFIXES = (".obj", ".stl")
+"""Suffixes of files of meshes that MuJoCo reads."""
+SUFFIXES = (*MUJOCO_SUFFIXES, ".glb")
 """Suffixes of files of meshes."""
 MOST_TRIANGLES = 100_000
 """Largest number of triangles of a mesh."""
@@ -43,6 +46,8 @@ class Mesh:
     """(F, 3, 3) Corners, anticlockwise as seen from outside [m]."""
     on_image: Array | None = None
     """(F, 3, 2) Position of the corners on an image, as fractions of width and height from the top left corner."""
+    image: Image | None = None
+    """(H, W, 3) Image of its own."""
 
     @property
     def half(self) -> Array:
@@ -52,11 +57,11 @@ class Mesh:
     def centred(self) -> "Mesh":
         """Return the mesh with the centre of its bounding box in the origin."""
         middle = 0.5 * (self.triangles.min(axis=(0, 1)) + self.triangles.max(axis=(0, 1)))
-        return Mesh(self.triangles - middle, self.on_image)
+        return replace(self, triangles=self.triangles - middle)
 
     def moved(self, R: Array, position: Array) -> "Mesh":
         """Return the mesh rotated by R (3, 3) about the origin, then translated by ``position`` (3,)."""
-        return Mesh(self.triangles @ R.T + position, self.on_image)
+        return replace(self, triangles=self.triangles @ R.T + position)
 
 
 def read_mesh(path: Path, where: str, name: str, content: bytes, line: int | None = None) -> Mesh:
@@ -85,8 +90,14 @@ def _compiled_mesh(content: bytes, suffix: str) -> Mesh:
     """Return the mesh in the content of a file.
 
     Raises:
-        ValueError: MuJoCo cannot compile it, or it has too many triangles.
+        ConfigError: It is GLB, and the package that reads it is not installed.
+        ValueError: It cannot be read, or has too many triangles.
     """
+    if suffix == ".glb":
+        mesh = Mesh(*glb_mesh(content))
+        if len(mesh.triangles) > MOST_TRIANGLES:
+            raise ValueError(f"{len(mesh.triangles)} triangles")
+        return mesh
     file = f"mesh{suffix}"
     text = f'<mujoco><asset><mesh name="mesh" file="{file}" inertia="shell"/></asset><worldbody>'
     text += '<geom type="mesh" mesh="mesh" contype="0" conaffinity="0"/></worldbody></mujoco>'

@@ -23,7 +23,7 @@ from dronevio.sim.appearance.instances import Instance
 from dronevio.sim.worlds.own.bodies import Body, Place, box_body, capsule_body, cylinder_body, ellipsoid_body
 from dronevio.sim.worlds.own.folder import WorldFolder
 from dronevio.sim.worlds.own.looks import Look, reduced_to
-from dronevio.sim.worlds.own.meshes import MOST_TRIANGLES, SUFFIXES, mesh_body, mesh_numbered
+from dronevio.sim.worlds.own.meshes import MOST_TRIANGLES, MUJOCO_SUFFIXES, mesh_body, mesh_numbered
 
 MOST_GEOMS = 2000
 """Largest number of static geoms."""
@@ -134,7 +134,7 @@ def _read_asset(
     if asset.tag == "texture":
         asset.attrib.pop("content_type", None)
     for attribute in [one for one in asset.attrib if one.startswith("file")]:
-        suffixes = SUFFIXES if asset.tag == "mesh" else (".png",)
+        suffixes = MUJOCO_SUFFIXES if asset.tag == "mesh" else (".png",)
         path = PurePosixPath(name).parent / folders.get(asset.tag, "") / asset.attrib[attribute]
         content = folder.read(str(path), where, suffixes)
         if asset.tag == "texture":

@@ -1,7 +1,7 @@
 """Placement of the obstacles of a description, of which the scattered ones are drawn from a generator."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from dronevio.sim.worlds.layout import ROUTE_CLEARANCE_M
 from dronevio.sim.worlds.outdoors import distance_to_legs
 from dronevio.sim.worlds.own.bodies import Body, Place, box_body, cylinder_body, ellipsoid_body
 from dronevio.sim.worlds.own.description import Description, Obstacle, Scatter, Shape
-from dronevio.sim.worlds.own.meshes import Mesh, mesh_body
+from dronevio.sim.worlds.own.meshes import mesh_body
 
 _TRIES = 200  # for each scattered obstacle
 _FAR_M = 1e3
@@ -44,7 +44,7 @@ class Placed:
         """Return the body, with textures of at most a resolution [px/m]."""
         place = Place(self.position, self.R, self.shape.look, ppm, Instance(self.shape.name))
         if self.shape.mesh is not None:
-            return mesh_body(Mesh(self.lengths[0] * self.shape.mesh.triangles, self.shape.mesh.on_image), place)
+            return mesh_body(replace(self.shape.mesh, triangles=self.lengths[0] * self.shape.mesh.triangles), place)
         if self.shape.kind == "cylinder":
             return cylinder_body(float(self.lengths[0]), float(self.lengths[1]), place)
         if self.shape.kind == "sphere":
