@@ -31,7 +31,7 @@ def glb_mesh(content: bytes) -> tuple[Array, Array | None, Image | None]:
         raise ConfigError("GLB without trimesh; expected it, by `pip install 'dronevio[glb]'`") from None
     try:
         scene = trimesh.load_scene(io.BytesIO(content), file_type="glb", process=False)
-        mesh = scene.to_geometry()
+        mesh: Any = scene.to_geometry()
         faces, vertices = np.asarray(mesh.faces, np.int64), np.asarray(mesh.vertices, np.float64)
         triangles = vertices[faces] @ _TO_Z_UP.T
     except Exception as error:  # whatever the reader raises for damaged files
