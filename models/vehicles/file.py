@@ -51,7 +51,7 @@ def read_vehicle(path: str | Path) -> Quadrotor:
     if "mjcf" in document:
         values["mjcf_file"] = _mjcf(document)
     try:
-        vehicle = _made(document, Quadrotor, values, "")
+        vehicle: Quadrotor = _made(document, Quadrotor, values, "")
         check_vehicle(vehicle)
     except VehicleError as error:
         line = document.lines.get(error.field)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import mujoco
@@ -201,7 +202,11 @@ def test_a_batch_equals_single_vehicles(drone: Quadrotor) -> None:
 @pytest.mark.parametrize("action", ["rotors", "rates", "velocity"])
 def test_environments_fly_a_hexacopter(action: str) -> None:
     observed = ("position", "rate", "rotors", "imu", "last_action")
-    arguments = {"vehicle": replace(HEXA, vibration=EUROC_VIBRATION), "action": action, "observations": observed}
+    arguments: dict[str, Any] = {
+        "vehicle": replace(HEXA, vibration=EUROC_VIBRATION),
+        "action": action,
+        "observations": observed,
+    }
     one = gymnasium.make("dronevio/Hover-v0", **arguments)
     many = gymnasium.make_vec("dronevio/Hover-v0", num_envs=1, **arguments)
     numbers = 6 if action == "rotors" else 4
