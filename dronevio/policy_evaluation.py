@@ -117,10 +117,10 @@ def policy_envs(policy: Policy, count: int, *, environment: str = "", **settings
         "observations": policy.names,
     }
     envs = gymnasium.make_vec(name, num_envs=count, **{**arguments, **settings})
-    outputs, size = policy.network.outputs, int(np.prod(envs.unwrapped.single_action_space.shape or ()))
-    if outputs != size:
+    outputs, shape = policy.network.outputs, envs.single_action_space.shape
+    if shape != (outputs,):
         envs.close()
-        raise ConfigError(f"a policy with actions of {outputs} numbers in {name}; expected {size}")
+        raise ConfigError(f"a policy with actions of shape {(outputs,)} in {name}; expected {shape}")
     shapes = getattr(envs.unwrapped, "observation_shapes", {})
     for one in policy.inputs:
         if shapes.get(one.name) != one.shape:
