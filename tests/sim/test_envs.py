@@ -414,7 +414,7 @@ def test_impossible_actions_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"expected reset\(\) first"):
         env.step(np.zeros(4))
     env.reset(seed=0)
-    for action, message in ((np.array([0.0, np.nan, 0.0, 0.0]), "four finite numbers"), (np.zeros(3), r"shape \(3,\)")):
+    for action, message in ((np.array([0.0, np.nan, 0.0, 0.0]), "4 finite numbers"), (np.zeros(3), r"shape \(3,\)")):
         with pytest.raises(ConfigError, match=message):
             env.step(action)
 
