@@ -13,6 +13,7 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 import dronevio.envs  # noqa: F401 registers
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
+from dronevio.models.quadrotor import RESEARCH
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import exp_so3, matrix_from_quat_wxyz, pose_matrix, rotation_z
 from dronevio.models.state import CameraFrame, Estimate, Health, HealthReport, NavState, Trajectory
@@ -381,7 +382,7 @@ def hovered(z: float, velocity: float, t_s: float, x: float = 0.0, before: float
 @pytest.mark.parametrize(("x", "velocity", "landed"), [(0.0, -0.5, True), (0.25, -0.5, False), (0.0, -0.7, False)])
 def test_landings_have_to_be_soft_and_on_the_pad(x: float, velocity: float, landed: bool) -> None:
     task = VioHover(uncertainty=2.0)
-    _, goals = task.begin(AREA, None, None, 1)  # type: ignore[arg-type]
+    _, goals = task.begin(AREA, RESEARCH, None, 1)  # type: ignore[arg-type]
     end_s = task.descent_from_s
     down = hovered(0.0, velocity, end_s + 1.0, x, before=0.05)
     goals = task.advance(AREA, goals, down)
@@ -401,7 +402,7 @@ def test_landings_have_to_be_soft_and_on_the_pad(x: float, velocity: float, land
 def test_the_worst_touchdown_of_an_episode_counts(hop_m: float, worst_m_s: float) -> None:
     """A hard touchdown, or one after a hop of two centimetres, is followed by a hop and a soft landing."""
     task = VioHover()
-    _, goals = task.begin(AREA, None, None, 1)  # type: ignore[arg-type]
+    _, goals = task.begin(AREA, RESEARCH, None, 1)  # type: ignore[arg-type]
     t_s = task.descent_from_s + 0.02 * np.arange(4)
     for height, velocity, before, t in (
         (0.0, -worst_m_s, hop_m, t_s[0]),
@@ -449,7 +450,7 @@ def test_single_and_vector_environments_keep_the_worst_touchdown(descent_m_s: fl
 
 def test_standing_before_the_flight_is_no_landing() -> None:
     task = VioHover()
-    _, goals = task.begin(AREA, None, None, 1)  # type: ignore[arg-type]
+    _, goals = task.begin(AREA, RESEARCH, None, 1)  # type: ignore[arg-type]
     for t_s in (0.02, 5.0):
         standing = hovered(0.0, 0.0, t_s)
         goals = task.advance(AREA, goals, standing)
@@ -458,7 +459,7 @@ def test_standing_before_the_flight_is_no_landing() -> None:
 
 def test_the_goal_of_vio_hover_rises_stays_and_descends() -> None:
     task = VioHover(height_m=1.0, climb_m_s=0.5, hover_s=10.0, descent_m_s=0.2)
-    _, goals = task.begin(AREA, None, None, 6)  # type: ignore[arg-type]
+    _, goals = task.begin(AREA, RESEARCH, None, 6)  # type: ignore[arg-type]
     times = np.array([0.0, 1.0, 2.0, 12.0, 14.0, 40.0])
     heights = task.objective(AREA, goals, times).position_m[:, 0, 2] - AREA.pad[2]
     np.testing.assert_allclose(heights, [0.0, 0.5, 1.0, 1.0, 0.6, -1.0])
@@ -471,7 +472,7 @@ def test_vio_navigate_starts_on_the_pad_towards_its_goal() -> None:
     assert ahead[0] > 1.0 and abs(ahead[1]) < 1e-3
     np.testing.assert_allclose(env._core.states.position_m[0, :2], flight_area("room", 0).pad[:2], atol=1e-9)
     task = VioNavigate()
-    _, goals = task.begin(AREA, None, np.random.default_rng(0), 1)  # type: ignore[arg-type]
+    _, goals = task.begin(AREA, RESEARCH, np.random.default_rng(0), 1)
     assert task.reward_terms(AREA, goals, goals, hovered(1.0, 0.0, 1.0))["uncertainty"][0] == pytest.approx(-0.006)
 
 
