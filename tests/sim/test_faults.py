@@ -68,7 +68,7 @@ def test_a_failing_rotor_ends_the_flight_with_a_crash() -> None:
         ("dark_for_s", float("nan")),
         ("imu_noise_factor", -1.0),
         ("gyro_range_rad_s", 0.0),
-        ("failing_rotor", 4),
+        ("failing_rotor", 16),
         ("hidden_tilt_rad", 3.0),
     ],
 )
