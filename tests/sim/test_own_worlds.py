@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from PIL import Image as Pillow
 
-from dronevio.models.arrays import Array
+from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.rig import euroc_rig
@@ -310,7 +310,7 @@ def test_the_depth_of_a_box_is_its_distance(written: Writer) -> None:
     np.testing.assert_allclose(depth.ravel()[hits], 3.5, rtol=2e-3)  # along the optical axis
 
 
-def glb_of(vertices: Array, faces: list[list[int]], uv: Array | None = None, picture: Array | None = None) -> bytes:
+def glb_of(vertices: Array, faces: list[list[int]], uv: Array | None = None, picture: Image | None = None) -> bytes:
     """Return a mesh with z up as GLB, by trimesh; a picture is in BGR."""
     trimesh = pytest.importorskip("trimesh")
     visual = None
