@@ -102,7 +102,7 @@ class DroneCore:
             count,
             settings.rig,
             settings.vehicle,
-            worlds=self._worlds.of_plant,
+            worlds=self._worlds.plant_worlds,
             imu=settings.has_imu,
             nthread=settings.threads,
         )

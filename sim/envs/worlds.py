@@ -37,7 +37,7 @@ class WorldPool:
         self.seeds = np.unique(np.array(seeds, dtype=np.int64))
         """(W,) Seeds of the worlds, in ascending order; their indices are those of the worlds."""
         built = [_built(name, seed, task.obstacles) for seed in self.seeds.tolist()]
-        self.areas, self.of_plant = zip(*built, strict=True)
+        self.areas, self.plant_worlds = zip(*built, strict=True)
         """Space, pad and route of each world, and the worlds as the physics has them."""
         self.floor_m = float(self.areas[0].pad[2])
         """Height of the floor [m]."""

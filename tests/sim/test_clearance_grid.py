@@ -145,3 +145,21 @@ def test_vehicles_near_a_wall_have_their_own_masses_and_diverge_once() -> None:
     falling = plant.states.velocity_m_s[:, 2]
     np.testing.assert_allclose(falling[:2], falling[2:], atol=1e-12)  # near the wall and far from it
     assert falling[1] < falling[0] - 0.1 and not plant.now.touched.any()
+
+
+def test_vehicles_near_solids_do_not_depend_on_how_many_there_are() -> None:
+    """Forty vehicles glide to a wall, more than are simulated in one call; each moves as it does in another order."""
+    rng, motions = np.random.default_rng(0), []
+    places = np.column_stack([rng.uniform(1.2, 1.65, 40), rng.uniform(-2.0, 2.0, 40), rng.uniform(1.0, 2.5, 40)])
+    velocity = rng.uniform([0.0, -1.0, -1.0], [2.0, 1.0, 1.0], (40, 3))
+    hover = RESEARCH.hover_speed_rad_s
+    for order in (np.arange(40), rng.permutation(40)):
+        plant = BatchPlant(40, RIG, worlds=[PlantWorld(wall(np.eye(3)))], nthread=1)
+        states = VehicleStates.at(places[order], None, velocity[order], rotor_speed_rad_s=hover)
+        plant.reset(np.ones(40, dtype=bool), states)
+        for _ in range(60):
+            plant.advance(np.full((40, 4), hover))
+        motions.append((plant.now.motion[:, np.argsort(order)], plant.now.touched[np.argsort(order)]))
+    assert 5 < motions[0][1].sum() < 40
+    np.testing.assert_array_equal(motions[0][1], motions[1][1])
+    np.testing.assert_allclose(motions[0][0], motions[1][0], atol=1e-9)
