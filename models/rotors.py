@@ -1,7 +1,7 @@
 """Rotors of a multirotor: places and directions of rotation, one by one or as a named arrangement.
 
-Order and directions of the motors in an arrangement are those of PX4's generic airframes ("Airframes Reference",
-docs.px4.io), which for six and eight rotors are ArduPilot's, too.
+Order and directions of the motors in an arrangement are those of PX4's generic airframes (the geometries of its
+multirotor mixer, and its airframe of an octorotor).
 """
 
 from dataclasses import dataclass
