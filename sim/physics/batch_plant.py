@@ -98,12 +98,13 @@ class BatchPlant:
         )
         self._simulation = BatchSimulation(planes, solids, count, substeps, nthread)
         self._imu = imu
-        self._movers: dict[int, BatchMoverContacts] = {}
-        for number, world in enumerate(worlds):
-            if world.spec is not None and world.movers:
-                meeting = meeting_spec(self.quadrotor, rig, world.spec)
-                contacts = BatchMoverContacts(meeting, world.movers, self.interval_s, count, nthread)
-                self._movers[number] = contacts
+        self._movers = {
+            number: BatchMoverContacts(
+                meeting_spec(self.quadrotor, rig, world.spec), world.movers, self.interval_s, count, nthread
+            )
+            for number, world in enumerate(worlds)
+            if world.spec is not None and world.movers
+        }
         self.standing_height_m = float(standing_pose(self.quadrotor, rig, step_s)[2])
         """Height of the centre of mass above the floor when a drone of the type stands on its feet [m]."""
         self._air = BatchAir(Winds.of(CALM, count), rng or np.random.default_rng(0))
