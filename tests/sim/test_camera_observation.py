@@ -11,14 +11,17 @@ import pytest
 from dronevio.models.errors import ConfigError
 from dronevio.models.rig import EUROC_CAM0, RigCamera
 from dronevio.models.rig_presets import TUM_VI_CAMERA, rig_named
+from dronevio.models.rotation import pose_matrix
 from dronevio.sim.appearance.scenery import reduced_image
+from dronevio.sim.cameras.atlas_renderer import RenderContext
+from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.envs.sensing.camera_observation import (
     ImageSettings,
     RenderedObservation,
     texture_reduction,
 )
 from dronevio.sim.rendering import loaded_world
-from dronevio.sim.rendering.loaded_world import LOADED_WORLDS
+from dronevio.sim.rendering.loaded_world import LOADED_WORLDS, LoadedWorld
 from dronevio.sim.world import Mover, build_world
 
 RIG = rig_named("euroc-stereo")
@@ -56,6 +59,8 @@ def tiny_world(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     spec.stat.extent = 10.0
     world = spec.compile(), 1.0, (Mover("ball", along_x),)
     monkeypatch.setattr(loaded_world, "_compiled", lambda key: world)
+    monkeypatch.setattr(loaded_world, "resolved_world", lambda name: name)
+    monkeypatch.setattr(loaded_world, "_loaded_instances", lambda *key: LoadedWorld(*world, RenderContext(world[0])))
     LOADED_WORLDS.clear()
     yield
     LOADED_WORLDS.clear()
@@ -131,6 +136,25 @@ def test_observations_can_be_pickled() -> None:
     assert np.array_equal(copied.observe(poses(0.1))["grey"], image)
     observation.close()
     copied.close()
+
+
+def test_surfaces_are_those_of_the_painted_world(monkeypatch: pytest.MonkeyPatch) -> None:
+    T = pose_matrix(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.array([0.0, 0.3, 1.2]))
+
+    def of(kinds: tuple[Any, ...]) -> dict[str, np.ndarray]:
+        observation = RenderedObservation(AHEAD, "low-texture", 0, ImageSettings(kinds, 64, 64))
+        images = observation.observe(T[None])
+        observation.close()
+        return images
+
+    LOADED_WORLDS.clear()
+    with OffscreenCamera(build_world("low-texture", 0).spec.compile(), EUROC_CAM0.fitted(64, 64), 1.5) as camera:
+        painted = camera.render_depth(T)
+    monkeypatch.setattr(loaded_world, "build_world", pytest.fail)  # nothing is painted
+    seen = of(("depth", "segmentation", "flow"))
+    np.testing.assert_allclose(seen["depth"][0, ..., 0], np.minimum(painted, 20.0), atol=1e-3)
+    for kind in ("depth", "segmentation"):
+        assert np.array_equal(of((kind,))[kind], seen[kind])
 
 
 @pytest.mark.usefixtures("tiny_world")

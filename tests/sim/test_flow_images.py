@@ -17,10 +17,11 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.rig import EUROC_CAM0, RigCamera
 from dronevio.models.rig_presets import TUM_VI_CAMERA, rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix, quat_wxyz_from_matrix
+from dronevio.sim.cameras.atlas_renderer import RenderContext
 from dronevio.sim.envs.sensing.camera_observation import ImageSettings, RenderedObservation
 from dronevio.sim.envs.sensing.image_flow import ImagePoses
 from dronevio.sim.rendering import loaded_world
-from dronevio.sim.rendering.loaded_world import LOADED_WORLDS
+from dronevio.sim.rendering.loaded_world import LOADED_WORLDS, LoadedWorld
 from dronevio.sim.world import Mover, instance_spec
 
 SETTINGS: dict[str, Any] = {"world": "low-texture", "image_size": (32, 24)}
@@ -77,7 +78,9 @@ def crate_world(monkeypatch: pytest.MonkeyPatch) -> Iterator[mujoco.MjModel]:
     crate.add_geom(name="crate", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.4, 0.3, 0.2])
     spec.stat.extent = 10.0
     model = spec.compile()
-    monkeypatch.setattr(loaded_world, "_compiled", lambda key: (model, 1.0, (Mover("crate", along_x),)))
+    world = model, 1.0, (Mover("crate", along_x),)
+    monkeypatch.setattr(loaded_world, "resolved_world", lambda name: name)
+    monkeypatch.setattr(loaded_world, "_loaded_instances", lambda *key: LoadedWorld(*world, RenderContext(model)))
     LOADED_WORLDS.clear()
     yield model
     LOADED_WORLDS.clear()

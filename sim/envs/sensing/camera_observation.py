@@ -89,8 +89,8 @@ class ImageSettings(Settings):
     """Kinds and size of the images of an environment."""
 
     kinds: tuple[ImageKind, ...] = ("grey",)
-    """Kinds of images: ``grey``, ``rgb``, ``depth``, ``segmentation`` or ``flow``. Each is rendered separately, but
-    for depth and flow."""
+    """Kinds of images: ``grey``, ``rgb``, ``depth``, ``segmentation`` or ``flow``. Depth, segmentation and flow are
+    rendered once for all three."""
     width: Annotated[int, Range(1, 4096)] = 64
     """Width of the images [px]."""
     height: Annotated[int, Range(1, 4096)] = 64
@@ -133,11 +133,11 @@ class _Renderer:
 class RenderedObservation:
     """Images of one camera of a rig in one world, for any number of environments; implements `CameraObservation`.
 
-    The world is loaded at the first call of `observe` and shared with the other environments of the process. The lens
-    is that of the rig's camera. Images have no noise and no motion blur, and are exposed as the textures are painted.
-    Depth is the z coordinate in the camera frame for ``radtan`` lenses, and the length of the ray for fisheyes. Depth,
-    segmentation and flow are those at the centres of the pixels: at edges, they are of one surface and never between
-    two.
+    The world is loaded at the first call of `observe` and shared with the other environments of the process. Its
+    textures are painted for grey levels and colours only. The lens is that of the rig's camera. Images have no noise
+    and no motion blur, and are exposed as the textures are painted. Depth is the z coordinate in the camera frame for
+    ``radtan`` lenses, and the length of the ray for fisheyes. Depth, segmentation and flow are those at the centres of
+    the pixels: at edges, they are of one surface and never between two.
     """
 
     def __init__(
@@ -196,11 +196,9 @@ class RenderedObservation:
         count, wanted = len(T_world_imu), self._settings.kinds
         images: Images = {kind: np.zeros((count, *space.shape), space.dtype) for kind, space in self.spaces().items()}
         Ts_world_cam = T_world_imu @ self._T_imu_cam
-        if "segmentation" in wanted:
-            self._observe_objects(images["segmentation"], Ts_world_cam, t_ns)
         if not {"grey", "rgb"}.isdisjoint(wanted):
             self._observe_light(images, Ts_world_cam, t_ns)
-        if not {"depth", "flow"}.isdisjoint(wanted):
+        if not {"depth", "segmentation", "flow"}.isdisjoint(wanted):
             self._observe_surfaces(images, Ts_world_cam, t_ns, previous or ImagePoses.none(count))
         return images
 
@@ -224,26 +222,22 @@ class RenderedObservation:
             for image, T_world_cam, poses in zip(images[kind], Ts_world_cam, movers, strict=True):
                 image[:] = renders[kind](T_world_cam, poses).reshape(image.shape)
 
-    def _observe_objects(self, images: npt.NDArray[Any], Ts_world_cam: Array, t_ns: Times | None) -> None:
-        """Render the numbers of the objects (k, H, W, 1) from poses (k, 4, 4)."""
-        name, seed = self._key.name, self._key.seed
-        self._instances = renderer = self._instances or _Renderer.opened(lease_instances(name, seed), self._model)
-        movers = renderer.mover_poses(t_ns, len(Ts_world_cam))
-        for image, T_world_cam, poses in zip(images, Ts_world_cam, movers, strict=True):
-            image[..., 0] = renderer.camera.render_surfaces(T_world_cam, poses).geom + 1
-
     def _observe_surfaces(self, images: Images, Ts_world_cam: Array, t_ns: Times | None, previous: ImagePoses) -> None:
-        """Render depth and flow from poses (k, 4, 4)."""
-        self._scenery = renderer = self._scenery or _Renderer.opened(lease_world(self._key), self._model)
+        """Render depth, segmentation and flow from poses (k, 4, 4), in the world without textures."""
+        if self._instances is None:
+            self._instances = _Renderer.opened(lease_instances(self._key.name, self._key.seed), self._model)
+        renderer = self._instances
         movers = renderer.mover_poses(t_ns, len(Ts_world_cam))
         before, movers_before = previous.T_world_imu @ self._T_imu_cam, renderer.mover_poses(previous.t_ns, len(movers))
         for row, T_world_cam in enumerate(Ts_world_cam):
-            if "depth" not in images and not previous.exists[row]:
+            if images.keys().isdisjoint(("depth", "segmentation")) and not previous.exists[row]:
                 continue
             seen = renderer.camera.render_surfaces(T_world_cam, movers[row])
             if "depth" in images:
                 farthest_m = np.float32(self._settings.depth_max_m)
                 np.fmin(seen.depth_m, farthest_m, out=images["depth"][row, ..., 0])  # also for NaN
+            if "segmentation" in images:
+                images["segmentation"][row, ..., 0] = seen.geom + 1
             if "flow" in images and previous.exists[row]:
                 poses, moved = (before[row], T_world_cam), (movers_before[row], movers[row])
                 images["flow"][row] = flow_since(renderer.camera, seen, poses, moved)
