@@ -1,8 +1,8 @@
 """Evaluation of policies over many episodes: trained ones of their environments, and baselines without learning."""
 
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import gymnasium
@@ -12,16 +12,19 @@ import numpy.typing as npt
 import dronevio.envs  # noqa: F401 registers the environments
 from dronevio.models.actions import ActionLimits
 from dronevio.models.arrays import Array
-from dronevio.models.errors import ConfigError, unknown_name
+from dronevio.models.errors import ConfigError
 from dronevio.models.policies.policy import Policy
 from dronevio.models.progress import Progress, silent
 from dronevio.sim.envs.episodes.endings import Termination
+from dronevio.sim.envs.episodes.randomization import NOTHING_RANDOM
+from dronevio.sim.envs.policies.environments import has_vectors, policy_arguments, policy_envs, require_fitting
 from dronevio.sim.envs.policies.goal_flight import fly_to_goal
-from dronevio.sim.envs.policies.mission import vehicle_of_policy
 from dronevio.sim.envs.settings import EnvironmentSettings
 
 MOST_AT_ONCE = 256
 """Largest number of environments that are stepped together."""
+MOST_WORLDS = 64
+"""Largest number of worlds that are in memory together."""
 TIME_LIMIT = "time limit"
 """Name of the end of an episode that is not terminated."""
 _TEXTS = np.array([each.text for each in Termination])
@@ -91,63 +94,29 @@ class PolicyEvaluation:
         return dict(Counter(self.ends).most_common())
 
 
-def policy_envs(policy: Policy, count: int, *, environment: str = "", **settings: Any) -> Any:
-    """Return a vector of environments in which a policy can be used.
-
-    Args:
-        policy: The policy, which determines vehicle, observations, actions and rates.
-        count: Number of environments.
-        environment: Id of the environment; by default that in which the policy was trained.
-        settings: Further settings of the environments; see `dronevio.sim.envs.EnvironmentSettings`.
-
-    Raises:
-        ConfigError: There is no such environment or vehicle, or they do not have the observations or actions of the
-            policy.
-    """
-    name = environment or policy.environment
-    _require_registered(name)
-    if gymnasium.spec(name).vector_entry_point is None:
-        raise ConfigError(f"environment {name!r} without native vectors; expected one that is not flown on an estimate")
-    arguments = {
-        "vehicle": settings.get("vehicle") or vehicle_of_policy(policy),
-        "action": policy.action_mode,
-        "action_limits": policy.action_limits,
-        "action_rate_hz": policy.action_rate_hz,
-        "imu_rate_hz": policy.imu_rate_hz,
-        "observations": policy.names,
-    }
-    envs = gymnasium.make_vec(name, num_envs=count, **{**arguments, **settings})
-    outputs, shape = policy.network.outputs, envs.single_action_space.shape
-    if shape != (outputs,):
-        envs.close()
-        raise ConfigError(f"a policy with actions of shape {(outputs,)} in {name}; expected {shape}")
-    shapes = getattr(envs.unwrapped, "observation_shapes", {})
-    for one in policy.inputs:
-        if shapes.get(one.name) != one.shape:
-            envs.close()
-            raise ConfigError(
-                f"observation {one.name!r} of shape {shapes.get(one.name)} in {name}; expected {one.shape}, as the"
-                " policy was trained"
-            )
-    return envs
-
-
 def evaluate_policy(
     policy: Policy,
     episodes: int = 100,
     seed: int = 1_000_000,
     *,
     environment: str = "",
+    world_seeds: Sequence[int] = (),
     progress: Progress = silent,
     **settings: Any,
 ) -> PolicyEvaluation:
     """Return the results of a policy in episodes that it has not been trained on.
 
+    Episodes run in vectors of 256 environments, or of 64 with several worlds; those on an estimate run one after
+    another.
+
     Args:
         policy: The policy.
         episodes: Number of episodes.
-        seed: Seed of the episodes. Every 256 episodes have the following one.
-        environment: Id of the environment; by default that in which the policy was trained.
+        seed: Seed of the episodes. Every vector, or episode on an estimate, has the following one.
+        environment: Id of the environment, such as ``dronevio/VioNavigate-v0``; by default that in which the policy was
+            trained.
+        world_seeds: Seeds of the worlds of the episodes, which are repeated if there are more episodes; by default
+            those of the settings.
         progress: Called with the number of finished episodes.
         settings: Further settings of the environments; see `dronevio.sim.envs.EnvironmentSettings`.
 
@@ -155,21 +124,30 @@ def evaluate_policy(
         ConfigError: There is no such environment or vehicle, or they do not have the observations or actions of the
             policy.
     """
-    if episodes < 1:
-        raise ConfigError(f"{episodes} episodes; expected 1 or more")
+    name = environment or policy.environment
+    worlds = _worlds(episodes, world_seeds)
+    if not has_vectors(name):
+        settings = policy_arguments(policy, settings)
+
+        def single(chosen: Any) -> Baseline:
+            require_fitting(policy, chosen, chosen.action_space.shape, name)
+            return _OneDrone(policy)
+
+        return _one_after_another(single, episodes, seed, name, worlds, progress, settings)
     parts: list[PolicyEvaluation] = []
-    done = 0
-    while done < episodes:
-        count = min(episodes - done, MOST_AT_ONCE)
-        envs = policy_envs(policy, count, environment=environment, **settings)
+    most = min(episodes, MOST_AT_ONCE if worlds is None else MOST_WORLDS)
+    for first in range(0, episodes, most):
+        count = min(episodes - first, most)
+        options = None if worlds is None else {"randomization": {"world_seed": worlds[first : first + count]}}
+        chosen = settings if worlds is None else _in_worlds(settings, worlds[first : first + count])
+        envs = policy_envs(policy, count, environment=environment, **chosen)
         try:
-            parts.append(_evaluated(policy, envs, seed + len(parts)))
+            parts.append(_evaluated(policy, envs, seed + len(parts), options))
         finally:
             envs.close()
-        done += count
-        progress(done, episodes)
+        progress(first + count, episodes)
     return PolicyEvaluation(
-        environment or policy.environment,
+        name,
         seed,
         np.concatenate([part.success for part in parts]),
         np.concatenate([part.distance_m for part in parts]),
@@ -180,13 +158,30 @@ def evaluate_policy(
     )
 
 
-def _evaluated(policy: Policy, envs: Any, seed: int) -> PolicyEvaluation:
+def _worlds(episodes: int, seeds: Sequence[int]) -> npt.NDArray[np.int64] | None:
+    """Return the seeds (episodes,) of the worlds of episodes; None if none are given.
+
+    Raises:
+        ConfigError: There is no episode.
+    """
+    if episodes < 1:
+        raise ConfigError(f"{episodes} episodes; expected 1 or more")
+    return np.resize(np.array(seeds, np.int64), episodes) if len(seeds) else None
+
+
+def _in_worlds(settings: Mapping[str, Any], seeds: npt.NDArray[np.int64]) -> dict[str, Any]:
+    """Return settings of environments with worlds of some seeds."""
+    randomization = settings.get("randomization", NOTHING_RANDOM)
+    return {**settings, "randomization": replace(randomization, world_seeds=tuple(np.unique(seeds).tolist()))}
+
+
+def _evaluated(policy: Policy, envs: Any, seed: int, options: dict[str, Any] | None) -> PolicyEvaluation:
     """Return the results of the first episode of each environment of a vector."""
     count = envs.num_envs
     running, success = np.ones(count, np.bool_), np.zeros(count, np.bool_)
     distance_m, reward, steps = np.zeros((3, count))
     ends = np.full(count, "", object)
-    observations, _ = envs.reset(seed=seed)
+    observations, _ = envs.reset(seed=seed, options=options)
     while running.any():
         observations, rewards, terminated, truncated, infos = envs.step(policy.action(observations))
         reward += np.where(running, rewards, 0.0)
@@ -256,12 +251,27 @@ class StraightFlight:
         return fly_to_goal(observation, self.limits)
 
 
+@dataclass(frozen=True)
+class _OneDrone:
+    """A trained policy of one drone; implements `Baseline`."""
+
+    policy: Policy
+
+    def reset(self) -> None:
+        """Do nothing: the policy has no memory."""
+
+    def action(self, observation: Mapping[str, Any]) -> npt.NDArray[np.float32]:
+        """Return the action (A,) for an observation."""
+        return self.policy.action({name: np.asarray(observation[name])[None] for name in self.policy.names})[0]
+
+
 def evaluate_baseline(
     name: str,
     episodes: int = 100,
     seed: int = 1_000_000,
     *,
     environment: str = NAVIGATE,
+    world_seeds: Sequence[int] = (),
     progress: Progress = silent,
     **settings: Any,
 ) -> PolicyEvaluation:
@@ -272,22 +282,44 @@ def evaluate_baseline(
         episodes: Number of episodes.
         seed: Seed of the first episode; each further one has the next.
         environment: Id of an environment with a goal, such as ``dronevio/VioNavigate-v0``.
+        world_seeds: Seeds of the worlds of the episodes, which are repeated if there are more episodes; by default
+            those of the settings.
         progress: Called with the number of finished episodes.
         settings: Further settings of the environment; see `dronevio.sim.envs.EnvironmentSettings`.
 
     Raises:
         ConfigError: There is no such policy or environment, or they do not fit.
     """
-    if episodes < 1:
-        raise ConfigError(f"{episodes} episodes; expected 1 or more")
-    _require_registered(environment)
-    with gymnasium.make(environment, **settings) as env:
-        chosen: Any = env.unwrapped
-        policy = baseline_named(name, chosen.settings)
-        flown = []
-        for number in range(episodes):
-            flown.append(_flown(policy, env, seed + number))
-            progress(number + 1, episodes)
+    has_vectors(environment)
+    worlds = _worlds(episodes, world_seeds)
+
+    def chosen(env: Any) -> Baseline:
+        return baseline_named(name, env.settings)
+
+    return _one_after_another(chosen, episodes, seed, environment, worlds, progress, settings)
+
+
+def _one_after_another(
+    policy_of: Callable[[Any], Baseline],
+    episodes: int,
+    seed: int,
+    environment: str,
+    worlds: npt.NDArray[np.int64] | None,
+    progress: Progress,
+    settings: dict[str, Any],
+) -> PolicyEvaluation:
+    """Return the results of the policy for a single environment, in episodes with consecutive seeds."""
+    flown: list[tuple[bool, float, float, int, str]] = []
+    most = episodes if worlds is None else MOST_WORLDS
+    for first in range(0, episodes, most):
+        part = None if worlds is None else worlds[first : first + most]
+        with gymnasium.make(environment, **(settings if part is None else _in_worlds(settings, part))) as env:
+            chosen: Any = env.unwrapped
+            policy = policy_of(chosen)
+            for number in range(first, min(first + most, episodes)):
+                options = None if worlds is None else {"randomization": {"world_seed": int(worlds[number])}}
+                flown.append(_flown(policy, env, seed + number, options))
+                progress(number + 1, episodes)
     success, distance_m, reward, steps, ends = zip(*flown, strict=True)
     duration_s = np.array(steps) / chosen.settings.action_rate_hz
     laps = getattr(chosen.settings.task, "laps", None)
@@ -296,9 +328,11 @@ def evaluate_baseline(
     )
 
 
-def _flown(policy: Baseline, env: Any, seed: int) -> tuple[bool, float, float, int, str]:
+def _flown(
+    policy: Baseline, env: Any, seed: int, options: dict[str, Any] | None
+) -> tuple[bool, float, float, int, str]:
     """Return success, distance at the end [m], reward, number of steps and end of an episode."""
-    observation, _ = env.reset(seed=seed)
+    observation, _ = env.reset(seed=seed, options=options)
     policy.reset()
     reward, steps, terminated, truncated = 0.0, 0, False, False
     info: dict[str, Any] = {}
@@ -307,10 +341,3 @@ def _flown(policy: Baseline, env: Any, seed: int) -> tuple[bool, float, float, i
         reward, steps = reward + float(gained), steps + 1
     end = info["termination"].text if terminated else TIME_LIMIT
     return bool(info["success"]), float(info["distance_m"]), reward, steps, end
-
-
-def _require_registered(environment: str) -> None:
-    """Raise ConfigError if there is no environment with an id."""
-    if environment not in gymnasium.registry:
-        known = sorted(one for one in gymnasium.registry if one.startswith("dronevio/"))
-        raise unknown_name("environment", environment, known)

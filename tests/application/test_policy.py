@@ -10,10 +10,16 @@ import numpy as np
 import pytest
 
 import dronevio as dv
+from dronevio import policy_evaluation
 from dronevio.cli import main
 from dronevio.models.errors import ConfigError
+from dronevio.models.imu import ImuSamples
 from dronevio.models.policies import Layer, NamedShape, Network, Policy, Scaling
-from dronevio.sim.envs import Hover
+from dronevio.models.rig import Rig
+from dronevio.models.state import CameraFrame, Estimate, Health, NavState
+from dronevio.sim.envs import Hover, VioHover
+from dronevio.sim.envs.policies.environments import policy_envs
+from dronevio.sim.envs.vector import DroneVectorEnv
 
 
 @pytest.fixture
@@ -27,6 +33,30 @@ def falling(policy: Policy) -> Policy:
     """A policy that stops the rotors."""
     layer = Layer(np.zeros((4, 15), np.float32), np.array([-5.0, 0.0, 0.0, 0.0], np.float32))
     return replace(policy, network=Network((layer,), "tanh"))
+
+
+def of_two_samples(policy: Policy) -> Policy:
+    """A policy of two IMU samples, as no environment has them at its rates."""
+    layer = Layer(np.zeros((4, 12), np.float32), np.zeros(4, np.float32))
+    inputs, network = (NamedShape("imu", (2, 6)),), Network((layer,), "tanh")
+    return replace(policy, inputs=inputs, scaling=Scaling.identity(12), network=network)
+
+
+class Standing:
+    """An estimator for which the vehicle stands at its start for ever."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.T_world_imu = rig.T_vehicle_imu
+
+    def add_imu(self, samples: ImuSamples) -> None:
+        pass
+
+    def state_at(self, t_ns: int) -> NavState:
+        zero = np.zeros(3)
+        return NavState(t_ns, self.T_world_imu, zero, zero, zero, angular_velocity_rad_s=zero)
+
+    def add_frame(self, frame: CameraFrame) -> Estimate:
+        return Estimate(frame.t_ns, Health.TRACKING, replace(self.state_at(frame.t_ns), covariance=1e-4 * np.eye(15)))
 
 
 def test_a_controller_hovers_in_all_episodes(hovering_policy: Policy) -> None:
@@ -55,6 +85,32 @@ def test_episodes_depend_on_the_seed_alone(hovering_policy: Policy) -> None:
     assert not np.isin(first.distance_m, other.distance_m).any()
 
 
+def test_episodes_are_in_the_given_worlds(hovering_policy: Policy, monkeypatch: pytest.MonkeyPatch) -> None:
+    flown: list[int] = []
+    plain = DroneVectorEnv.reset
+
+    def reset(self: DroneVectorEnv, **arguments: Any) -> Any:
+        observation, info = plain(self, **arguments)
+        flown.extend(info["randomization"]["world_seed"])
+        return observation, info
+
+    monkeypatch.setattr(DroneVectorEnv, "reset", reset)
+    monkeypatch.setattr(policy_evaluation, "MOST_WORLDS", 2)
+    task = Hover(episode_s=0.2)
+    result = dv.evaluate_policy(hovering_policy, 5, world="low-texture", world_seeds=(7, 9, 4), task=task)
+    assert len(result.success) == 5 and flown == [7, 9, 4, 7, 9]
+
+
+def test_episodes_on_an_estimate_are_flown_one_after_another(hovering_policy: Policy) -> None:
+    """With an estimate that does not move, the policy climbs to its goal without an end."""
+    run: dict[str, Any] = {"environment": "dronevio/VioHover-v0", "task": VioHover(episode_s=2.0)}
+    result = dv.evaluate_policy(hovering_policy, 2, 3, estimator=Standing, world="low-texture", **run)
+    assert result.environment == "dronevio/VioHover-v0" and len(result.ends) == 2
+    assert (result.duration_s > 0.1).all() and not result.success.any()
+    with pytest.raises(ConfigError, match=r"observation 'imu' of shape .* in dronevio/VioHover-v0"):
+        dv.evaluate_policy(of_two_samples(hovering_policy), 1, estimator=Standing, **run)
+
+
 def test_other_rates_keep_the_time_limit(hovering_policy: Policy) -> None:
     fast = replace(hovering_policy, action_rate_hz=100.0)
     result = dv.evaluate_policy(fast, 2, task=Hover(episode_s=1.0))
@@ -65,21 +121,16 @@ def test_environments_have_to_fit_the_policy(hovering_policy: Policy) -> None:
     with pytest.raises(ConfigError, match="unknown environment 'dronevio/Fly-v0'; expected one of dronevio/Explore-v0"):
         dv.evaluate_policy(hovering_policy, 2, environment="dronevio/Fly-v0")
     with pytest.raises(ConfigError, match="'dronevio/VioHover-v0' without native vectors"):
-        dv.evaluate_policy(hovering_policy, 2, environment="dronevio/VioHover-v0")
+        policy_envs(hovering_policy, 2, environment="dronevio/VioHover-v0")
     with pytest.raises(ConfigError, match="0 episodes"):
         dv.evaluate_policy(hovering_policy, 0)
-    layer = Layer(np.zeros((4, 12), np.float32), np.zeros(4, np.float32))
-    window = replace(
-        hovering_policy,
-        inputs=(NamedShape("imu", (2, 6)),),
-        scaling=Scaling.identity(12),
-        network=Network((layer,), "tanh"),
-    )
     with pytest.raises(ConfigError, match=r"observation 'imu' of shape \(4, 6\) in .*; expected \(2, 6\)"):
-        dv.evaluate_policy(window, 2)
+        dv.evaluate_policy(of_two_samples(hovering_policy), 2)
 
 
-def test_command_evaluates(hovering_policy: Policy, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_evaluates(
+    hovering_policy: Policy, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     saved = tmp_path / "falling.safetensors"
     dv.save_policy(saved, falling(hovering_policy))
     assert main(["policy", "evaluate", str(saved), "--episodes", "3", "--seed", "5", "--json"]) == 0
@@ -90,6 +141,15 @@ def test_command_evaluates(hovering_policy: Policy, tmp_path: Path, capsys: pyte
     assert main(["policy", "evaluate", str(saved), "--episodes", "2", "--randomization", "moderate"]) == 0
     shown = capsys.readouterr().out
     assert "2 episodes, seed 1000000, randomization moderate" in shown and "2 ground" in shown
+    flown: dict[str, Any] = {}
+    plain = policy_evaluation.evaluate_policy
+    monkeypatch.setattr(
+        policy_evaluation, "evaluate_policy", lambda *given, **run: flown.update(run) or plain(*given, **run)
+    )
+    several = ["--episodes", "2", "--world", "low-texture", "--world-seed", "7", "--worlds", "3", "--json"]
+    assert main(["policy", "evaluate", str(saved), *several]) == 0
+    assert json.loads(capsys.readouterr().out)["worlds"] == 3
+    assert list(flown["world_seeds"]) == [7, 8, 9]
 
 
 def test_command_describes(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -27,7 +27,7 @@ class EvaluateCommand(Settings):
       dronevio policy evaluate hover.safetensors
       dronevio policy evaluate hover-*.safetensors --episodes 1000 --randomization moderate
       dronevio policy evaluate race.safetensors --world-seed 3 --json
-      dronevio policy evaluate planner straight --episodes 50
+      dronevio policy evaluate planner straight --episodes 50 --worlds 50
       dronevio policy evaluate planner --environment dronevio/VioNavigate-v0 --episodes 10
     """
 
@@ -49,6 +49,8 @@ class EvaluateCommand(Settings):
     such as yard.yaml or yard.xml (MJCF), or python:package.module:NAME."""
     world_seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the layout of the world, such as the course of a race."""
+    worlds: Annotated[int, Range(1, 100_000)] = 1
+    """Number of worlds in which the episodes are flown in turn, with consecutive seeds from --world-seed on."""
     printing: Printing = field(default_factory=PrintOptions)
     """How results are printed."""
 
@@ -76,6 +78,7 @@ def main(arguments: Sequence[str]) -> int:
         "randomization": MODERATE if command.randomization == "moderate" else NOTHING_RANDOM,
         "world": command.world or "",
         "world_seed": command.world_seed,
+        "world_seeds": range(command.world_seed, command.world_seed + command.worlds) if command.worlds > 1 else (),
     }
     if command.vehicle is not None:
         from dronevio.models.vehicles import vehicle_of
@@ -114,6 +117,7 @@ def _document(command: EvaluateCommand, results: Mapping[Path, "PolicyEvaluation
         "vehicle": command.vehicle,
         "world": None if command.world is None else recorded_world(resolved_world(command.world)),
         "world_seed": command.world_seed,
+        "worlds": command.worlds,
         "policies": policies,
     }
 
