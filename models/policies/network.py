@@ -1,4 +1,4 @@
-"""Multilayer perceptrons in numpy: scaling of the inputs, layers, activation and squashing of the outputs."""
+"""Networks in numpy: scaling of the inputs, an encoder of an image, linear layers, and squashing of the outputs."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,12 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.errors import ConfigError
+from dronevio.models.policies.arrays32 import LARGEST_NUMBER, Array32, PolicyError, require_numbers, require_vector
+from dronevio.models.policies.convolutions import Encoder
 
-Array32 = npt.NDArray[np.float32]
-
-LARGEST_NUMBER = 1e6
-"""Upper limit of the magnitude of weights, biases and scalings, so that sums of products do not overflow."""
 MOST_LAYERS = 16
 """Upper limit of the number of layers."""
 WIDEST = 4096
@@ -28,20 +25,6 @@ SQUASHINGS: dict[str, Callable[[Array32], Array32]] = {
     "tanh": np.tanh,
 }
 """Functions from the outputs of the last layer to values in [−1, 1] by name."""
-
-
-class PolicyError(ConfigError):
-    """A part of a policy is invalid."""
-
-    def __init__(self, found: str, expected: str) -> None:
-        """Compose the message ``FOUND; expected EXPECTED``.
-
-        Args:
-            found: Name of the part, and what was found.
-            expected: Description of what was expected.
-        """
-        self.found, self.expected = found, expected
-        super().__init__(f"{found}; expected {expected}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +44,8 @@ class Scaling:
         Raises:
             PolicyError: The arrays differ in shape, or a value is not possible.
         """
-        _require_vector("observation.mean", self.mean, self.mean.size)
-        _require_vector("observation.scale", self.scale, self.mean.size)
+        require_vector("observation.mean", self.mean, self.mean.size)
+        require_vector("observation.scale", self.scale, self.mean.size)
         if not (self.scale > 0.0).all():
             raise PolicyError(f"observation.scale: {self.scale.min():g}", "positive numbers")
         if self.limit is not None and not 0.0 < self.limit <= LARGEST_NUMBER:
@@ -109,14 +92,16 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """A multilayer perceptron with one activation and outputs in [−1, 1]."""
+    """A multilayer perceptron with one activation and outputs in [−1, 1], after an encoder if it sees an image."""
 
     layers: tuple[Layer, ...]
-    """The layers, from the inputs to the outputs."""
+    """The linear layers, from the inputs to the outputs."""
     activation: str
-    """Function after each layer but the last: ``tanh``, ``relu`` or ``elu``."""
+    """Function after each layer but the last, and after each convolution: ``tanh``, ``relu`` or ``elu``."""
     squashing: str = "clip"
     """Function after the last layer: ``clip`` to [−1, 1], or ``tanh``."""
+    encoder: Encoder | None = None
+    """Convolutions of an image, which is the first of the inputs; their results replace it as inputs of the layers."""
 
     def __post_init__(self) -> None:
         """Check names, shapes and values.
@@ -137,13 +122,17 @@ class Network:
             if index > 0 and weight.shape[1] != len(self.layers[index - 1].weight):
                 inputs = len(self.layers[index - 1].weight)
                 raise PolicyError(f"{name}: shape {weight.shape}", f"{inputs} columns, as the layer before has rows")
-            _require_numbers(name, weight)
-            _require_vector(f"layers.{index}.bias", layer.bias, len(weight))
+            if index == 0 and self.encoder is not None and weight.shape[1] < self.encoder.outputs:
+                expected = f"{self.encoder.outputs} columns or more, as the convolutions have results"
+                raise PolicyError(f"{name}: shape {weight.shape}", expected)
+            require_numbers(name, weight)
+            require_vector(f"layers.{index}.bias", layer.bias, len(weight))
 
     @property
     def inputs(self) -> int:
         """Number of inputs."""
-        return int(self.layers[0].weight.shape[1])
+        seen = 0 if self.encoder is None else self.encoder.inputs - self.encoder.outputs
+        return seen + int(self.layers[0].weight.shape[1])
 
     @property
     def outputs(self) -> int:
@@ -153,23 +142,10 @@ class Network:
     def __call__(self, values: Array32) -> Array32:
         """Return outputs (n, M) of scaled inputs (n, N)."""
         activate = ACTIVATIONS[self.activation]
+        if self.encoder is not None:
+            image, others = np.split(values, [self.encoder.inputs], axis=1)
+            values = np.concatenate([self.encoder(image, activate), others], axis=1)
         for layer in self.layers[:-1]:
             values = activate(values @ layer.weight.T + layer.bias)
         last = self.layers[-1]
         return SQUASHINGS[self.squashing](values @ last.weight.T + last.bias)
-
-
-def _require_vector(name: str, values: Array32, size: int) -> None:
-    """Raise PolicyError unless an array is a vector of a size with finite float32 of limited magnitude."""
-    if values.shape != (size,) or size < 1:
-        raise PolicyError(f"{name}: shape {values.shape}", f"shape ({max(size, 1)},)")
-    _require_numbers(name, values)
-
-
-def _require_numbers(name: str, values: Array32) -> None:
-    """Raise PolicyError unless all values of an array are finite float32 of limited magnitude."""
-    if values.dtype != np.float32:
-        raise PolicyError(f"{name}: {values.dtype}", "float32")
-    wrong = values[~(np.abs(values) <= LARGEST_NUMBER)]
-    if wrong.size:
-        raise PolicyError(f"{name}: the number {wrong[0]:g}", f"numbers up to {LARGEST_NUMBER:g}")

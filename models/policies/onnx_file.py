@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.policies.network import Network
@@ -52,7 +53,7 @@ def _graph(policy: Policy) -> Any:
     from onnx import TensorProto, helper, numpy_helper
 
     network: Network = policy.network
-    constants = {"mean": policy.scaling.mean, "scale": policy.scaling.scale}
+    constants: dict[str, npt.NDArray[Any]] = {"mean": policy.scaling.mean, "scale": policy.scaling.scale}
     nodes = [
         helper.make_node("Sub", [INPUT, "mean"], ["centred"]),
         helper.make_node("Div", ["centred", "scale"], ["scaled"]),
@@ -64,6 +65,8 @@ def _graph(policy: Policy) -> Any:
         )
         nodes.append(helper.make_node("Clip", [current, "lowest", "highest"], ["limited"]))
         current = "limited"
+    if network.encoder is not None:
+        current = _encoded(network, current, nodes, constants)
     for index, layer in enumerate(network.layers):
         weight, bias, result = f"weight_{index}", f"bias_{index}", f"linear_{index}"
         constants[weight], constants[bias] = layer.weight, layer.bias
@@ -84,3 +87,28 @@ def _graph(policy: Policy) -> Any:
         [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, ["n", network.outputs])],
         [numpy_helper.from_array(np.ascontiguousarray(array), name) for name, array in constants.items()],
     )
+
+
+def _encoded(network: Network, scaled: str, nodes: list[Any], constants: dict[str, npt.NDArray[Any]]) -> str:
+    """Add the convolutions of the image, and return the name of the inputs of the linear layers."""
+    from onnx import helper
+
+    assert network.encoder is not None
+    sizes = [network.encoder.inputs, network.inputs - network.encoder.inputs]
+    constants["sizes"] = np.array(sizes, np.int64)
+    constants["image_shape"] = np.array([-1, *network.encoder.image], np.int64)
+    nodes += [
+        helper.make_node("Split", [scaled, "sizes"], ["flat_image", "others"], axis=1),
+        helper.make_node("Reshape", ["flat_image", "image_shape"], ["image_by_rows"]),
+        helper.make_node("Transpose", ["image_by_rows"], ["image"], perm=[0, 3, 1, 2]),
+    ]
+    current = "image"
+    for index, one in enumerate(network.encoder.convolutions):
+        weight, bias, result = f"kernel_{index}", f"offset_{index}", f"convolved_{index}"
+        constants[weight], constants[bias] = one.weight, one.bias
+        nodes.append(helper.make_node("Conv", [current, weight, bias], [result], strides=[one.stride] * 2))
+        current = f"seen_{index}"
+        nodes.append(helper.make_node(_OPERATORS[network.activation], [result], [current]))
+    nodes.append(helper.make_node("Flatten", [current], ["features"], axis=1))
+    nodes.append(helper.make_node("Concat", ["features", "others"], ["encoded"], axis=1))
+    return "encoded"

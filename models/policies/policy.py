@@ -10,8 +10,10 @@ import numpy.typing as npt
 
 from dronevio.models.actions import ACTION_MODES, ActionLimits
 from dronevio.models.errors import ConfigError
+from dronevio.models.policies.arrays32 import Array32, PolicyError
+from dronevio.models.policies.convolutions import LARGEST_IMAGE
 from dronevio.models.policies.document import LONGEST_LIST, LONGEST_TEXT
-from dronevio.models.policies.network import WIDEST, Array32, Network, PolicyError, Scaling
+from dronevio.models.policies.network import Network, Scaling
 from dronevio.models.rotors import MOST_ROTORS
 
 ACTIONS = 4
@@ -43,9 +45,9 @@ class NamedShape:
         """
         if not _NAME.fullmatch(self.name):
             raise PolicyError(f"name of an observation: {self.name[:80]!r}", "a lower-case name of up to 64 characters")
-        if not (1 <= len(self.shape) <= 4 and min(self.shape) >= 1 and self.size <= WIDEST):
+        if not (1 <= len(self.shape) <= 4 and min(self.shape) >= 1 and self.size <= LARGEST_IMAGE):
             raise PolicyError(
-                f"{self.name}: shape {self.shape}", f"1 to 4 positive sizes, with a product up to {WIDEST}"
+                f"{self.name}: shape {self.shape}", f"1 to 4 positive sizes, with a product up to {LARGEST_IMAGE}"
             )
 
     @property
@@ -130,13 +132,15 @@ class Policy:
             )
         if len({one.name for one in self.inputs}) < len(self.inputs):
             raise PolicyError(f"observations: {', '.join(self.names)}", "each name once")
-        size = sum(one.size for one in self.inputs)
+        size, encoder = sum(one.size for one in self.inputs), self.network.encoder
+        if encoder is not None and (not self.inputs or self.inputs[0].shape != encoder.image):
+            raise PolicyError(f"network.image: {encoder.image}", "the shape of the first observation")
         if self.scaling.mean.size != size:
             raise PolicyError(f"observation.mean: shape {self.scaling.mean.shape}", f"shape ({size},)")
+        columns = self.network.layers[0].weight.shape[1]
         if self.network.inputs != size:
-            raise PolicyError(
-                f"layers.0.weight: {self.network.inputs} columns", f"{size}, the size of the observations"
-            )
+            wanted = columns + size - self.network.inputs
+            raise PolicyError(f"layers.0.weight: {columns} columns", f"{wanted}, the size of the observations")
         most = MOST_ROTORS if self.action_mode == "rotors" else ACTIONS
         if not ACTIONS <= self.network.outputs <= most:
             last, sizes = len(self.network.layers) - 1, f"{ACTIONS}" if most == ACTIONS else f"{ACTIONS} to {most}"

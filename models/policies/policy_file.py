@@ -5,6 +5,8 @@ The file contains no code. Its arrays are of type float32:
 | name | shape | content |
 |---|---|---|
 | ``observation.mean``, ``observation.scale`` | (N,) | scaling of the concatenated observations |
+| ``convolutions.K.weight`` | (M, C, H, W) | weights of convolution K = 0, 1, …, of a policy that sees |
+| ``convolutions.K.bias`` | (M,) | biases of convolution K |
 | ``layers.K.weight`` | (M, N) | weights of layer K = 0, 1, … |
 | ``layers.K.bias`` | (M,) | biases of layer K |
 
@@ -12,13 +14,14 @@ The metadata has the key ``dronevio_policy``, whose value is the text of a JSON 
 
 | field | content |
 |---|---|
-| ``version`` | version of the format, 1 |
+| ``version`` | version of the format: 1, or 2 with convolutions |
 | ``environment``, ``vehicle`` | id of the environment, and name of the vehicle |
 | ``observations`` | list of objects with ``name`` and ``shape``, in the order of the inputs |
 | ``observation_limit`` | largest magnitude of a scaled observation, or null |
 | ``action`` | object with ``mode``, ``rate_hz`` and ``limits``, the fields of `ActionLimits` |
 | ``imu_rate_hz`` | rate of the IMU and of the inner control loops [Hz] |
-| ``network`` | object with ``activation`` and ``squashing`` |
+| ``network`` | object with ``activation`` and ``squashing``; with convolutions also ``image``, height, width and \
+channels of the first observation, and ``strides``, a list of integers |
 | ``provenance`` | object with ``algorithm``, ``samples``, ``seed`` and ``versions``, an object of texts |
 """
 
@@ -32,12 +35,14 @@ from safetensors.numpy import save
 
 from dronevio.models.actions import ActionLimits
 from dronevio.models.errors import InputError
+from dronevio.models.policies.arrays32 import Array32, PolicyError
+from dronevio.models.policies.convolutions import MOST_CONVOLUTIONS, Convolution, Encoder
 from dronevio.models.policies.document import Fields, shortened
-from dronevio.models.policies.network import MOST_LAYERS, Array32, Layer, Network, PolicyError, Scaling
+from dronevio.models.policies.network import MOST_LAYERS, Layer, Network, Scaling
 from dronevio.models.policies.policy import NamedShape, Policy, Provenance
 
-VERSION = 1
-"""Version of the format."""
+VERSION = 2
+"""Newest version of the format."""
 METADATA_KEY = "dronevio_policy"
 """Key of the description in the metadata."""
 LARGEST_FILE_BYTES = 64 * 2**20
@@ -47,6 +52,7 @@ LARGEST_HEADER_BYTES = 2**20
 
 _FORMAT = "a policy, as dronevio writes it in the format safetensors"
 _MEAN, _SCALE = "observation.mean", "observation.scale"
+_LAYERS, _SEEING = "layers", "convolutions"
 
 
 def save_policy(path: str | Path, policy: Policy) -> None:
@@ -57,8 +63,10 @@ def save_policy(path: str | Path, policy: Policy) -> None:
         policy: The policy.
     """
     arrays = {_MEAN: policy.scaling.mean, _SCALE: policy.scaling.scale}
-    for index, layer in enumerate(policy.network.layers):
-        arrays[_weight(index)], arrays[_bias(index)] = layer.weight, layer.bias
+    encoder = policy.network.encoder
+    for group, parts in ((_LAYERS, policy.network.layers), (_SEEING, () if encoder is None else encoder.convolutions)):
+        for index, part in enumerate(parts):
+            arrays[_weight(group, index)], arrays[_bias(group, index)] = part.weight, part.bias
     contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     Path(path).write_bytes(save(contiguous, {METADATA_KEY: description(policy)}))
 
@@ -90,9 +98,12 @@ def load_policy(path: str | Path) -> Policy:
 
 def description(policy: Policy) -> str:
     """Return the description of a policy without its arrays, as JSON."""
-    provenance = policy.provenance
+    provenance, encoder = policy.provenance, policy.network.encoder
+    seeing = {}
+    if encoder is not None:
+        seeing = {"image": list(encoder.image), "strides": [one.stride for one in encoder.convolutions]}
     document = {
-        "version": VERSION,
+        "version": 1 if encoder is None else VERSION,
         "environment": policy.environment,
         "vehicle": policy.vehicle,
         "observations": [{"name": one.name, "shape": list(one.shape)} for one in policy.inputs],
@@ -103,7 +114,7 @@ def description(policy: Policy) -> str:
             "limits": asdict(policy.action_limits),
         },
         "imu_rate_hz": policy.imu_rate_hz,
-        "network": {"activation": policy.network.activation, "squashing": policy.network.squashing},
+        "network": {"activation": policy.network.activation, "squashing": policy.network.squashing, **seeing},
         "provenance": {
             "algorithm": provenance.algorithm,
             "samples": provenance.samples,
@@ -122,8 +133,8 @@ def _policy(document: Fields, arrays: dict[str, Array32]) -> Policy:
         PolicyError: The parts do not fit together.
     """
     version = document.integer("version")
-    if version != VERSION:
-        raise document.error("version", f"{VERSION}; a newer version of dronevio may read this file")
+    if not 1 <= version <= VERSION:
+        raise document.error("version", f"up to {VERSION}; a newer version of dronevio may read this file")
     action, network = document.child("action"), document.child("network")
     origin = document.child("provenance")
     document.only(
@@ -131,17 +142,20 @@ def _policy(document: Fields, arrays: dict[str, Array32]) -> Policy:
         *("action", "imu_rate_hz", "network", "provenance"),
     )
     action.only("mode", "rate_hz", "limits")
-    network.only("activation", "squashing")
+    network.only("activation", "squashing", *(("image", "strides") if version == VERSION else ()))
     origin.only("algorithm", "samples", "seed", "versions")
     versions = origin.child("versions")
     limit = None if document.values.get("observation_limit", 0) is None else document.number("observation_limit")
-    layers = tuple(Layer(arrays[_weight(index)], arrays[_bias(index)]) for index in range(len(arrays) // 2 - 1))
+    layers = tuple(Layer(*pair) for pair in _pairs(arrays, _LAYERS))
+    encoder = _encoder(network, arrays) if version == VERSION else None
+    if encoder is None and _weight(_SEEING, 0) in arrays:
+        raise document.error("version", f"{VERSION}, with convolutions")
     return Policy(
         environment=document.text("environment"),
         vehicle=document.text("vehicle"),
         inputs=tuple(_shape(one) for one in document.children("observations")),
         scaling=Scaling(arrays[_MEAN], arrays[_SCALE], limit),
-        network=Network(layers, network.text("activation"), network.text("squashing")),
+        network=Network(layers, network.text("activation"), network.text("squashing"), encoder),
         action_mode=action.text("mode"),
         action_limits=_limits(action.child("limits")),
         action_rate_hz=action.number("rate_hz"),
@@ -153,6 +167,28 @@ def _policy(document: Fields, arrays: dict[str, Array32]) -> Policy:
             {name: versions.text(name) for name in versions.values},
         ),
     )
+
+
+def _encoder(network: Fields, arrays: dict[str, Array32]) -> Encoder:
+    """Return the convolutions of a policy that sees.
+
+    Raises:
+        InputError: A field is missing or has a wrong type.
+        PolicyError: The parts do not fit together.
+    """
+    pairs, strides, image = _pairs(arrays, _SEEING), network.integers("strides"), network.integers("image")
+    if len(strides) != len(pairs):
+        raise network.error("strides", f"{len(pairs)} numbers, one for each convolution")
+    if len(image) != 3:
+        raise network.error("image", "height, width and channels")
+    seeing = tuple(Convolution(*pair, stride) for pair, stride in zip(pairs, strides, strict=True))
+    return Encoder((image[0], image[1], image[2]), seeing)
+
+
+def _pairs(arrays: dict[str, Array32], group: str) -> list[tuple[Array32, Array32]]:
+    """Return weights and biases of all layers or convolutions."""
+    count = sum(name.startswith(f"{group}.") for name in arrays) // 2
+    return [(arrays[_weight(group, index)], arrays[_bias(group, index)]) for index in range(count)]
 
 
 def _shape(document: Fields) -> NamedShape:
@@ -196,10 +232,12 @@ def _names(path: Path, names: list[str]) -> list[str]:
     Raises:
         InputError: An array is missing or unknown, or there are too many.
     """
-    count = (len(names) - 2) // 2
-    if not 1 <= count <= MOST_LAYERS:
-        raise InputError(path, f"{len(names)} arrays", f"the scaling, and 1 to {MOST_LAYERS} layers of 2 arrays")
-    expected = [_MEAN, _SCALE, *(name(index) for index in range(count) for name in (_weight, _bias))]
+    expected = [_MEAN, _SCALE]
+    for group, least, most in ((_SEEING, 0, MOST_CONVOLUTIONS), (_LAYERS, 1, MOST_LAYERS)):
+        count = -(-sum(name.startswith(f"{group}.") for name in names) // 2)  # rounded up, so that a lack is noticed
+        if not least <= count <= most:
+            raise InputError(path, f"{count} {group}", f"{least} to {most} {group} of 2 arrays each")
+        expected += [name(group, index) for index in range(count) for name in (_weight, _bias)]
     for name in names:
         if name not in expected:
             raise InputError(path, f"an array {shortened(name)}", f"arrays {', '.join(expected)}")
@@ -207,7 +245,7 @@ def _names(path: Path, names: list[str]) -> list[str]:
 
 
 def _array(path: Path, file: safe_open, name: str) -> Array32:
-    """Return an array of type float32 and at most two dimensions.
+    """Return an array of type float32 and at most four dimensions.
 
     Raises:
         InputError: It is missing, or has another type or more dimensions.
@@ -215,19 +253,19 @@ def _array(path: Path, file: safe_open, name: str) -> Array32:
     if name not in file.keys():  # noqa: SIM118 it is no dict
         raise InputError(path, f"no array {name}", _FORMAT)
     part = file.get_slice(name)
-    if part.get_dtype() != "F32" or len(part.get_shape()) > 2:
+    if part.get_dtype() != "F32" or len(part.get_shape()) > 4:
         found = f"{name}: type {part.get_dtype()}, shape {shortened(part.get_shape())}"
-        raise InputError(path, found, "type F32 and at most 2 dimensions")
+        raise InputError(path, found, "type F32 and at most 4 dimensions")
     array = np.array(file.get_tensor(name), dtype=np.float32)
     array.flags.writeable = False
     return array
 
 
-def _weight(index: int) -> str:
-    """Return the name of the weights of a layer."""
-    return f"layers.{index}.weight"
+def _weight(group: str, index: int) -> str:
+    """Return the name of the weights of a layer or a convolution."""
+    return f"{group}.{index}.weight"
 
 
-def _bias(index: int) -> str:
-    """Return the name of the biases of a layer."""
-    return f"layers.{index}.bias"
+def _bias(group: str, index: int) -> str:
+    """Return the name of the biases of a layer or a convolution."""
+    return f"{group}.{index}.bias"

@@ -6,7 +6,7 @@ import pytest
 
 from dronevio.eval.benchmark.isolation import CrashError
 from dronevio.models.errors import ConfigError, DronevioError, InputError, unknown_name
-from dronevio.models.policies.network import PolicyError
+from dronevio.models.policies.arrays32 import PolicyError
 from dronevio.models.ranges import RangeError
 from dronevio.models.recordings.images import DamagedImageError
 

@@ -49,6 +49,24 @@ class Linear(Module):
         self.bias = Tensor(rng.normal(size=outputs)) if bias else None
 
 
+class Conv2d(Module):
+    """A convolution, whose weights are those of a generator."""
+
+    padding, dilation, groups = (0, 0), (1, 1), 1
+
+    def __init__(self, inputs: int, outputs: int, size: int, step: int = 1, **changes: Any) -> None:
+        super().__init__()
+        rng = np.random.default_rng([inputs, outputs, size])
+        self.weight = Tensor(rng.normal(0.0, 0.3, (outputs, inputs, size, size)))
+        self.bias = Tensor(rng.normal(size=outputs))
+        self.stride = step, step
+        self.__dict__ |= changes
+
+
+class Flatten(Module):
+    """Images as vectors."""
+
+
 class Tanh(Module):
     """An activation."""
 
@@ -120,6 +138,36 @@ def test_models_have_an_actor_and_a_squashing(envs: DroneVectorEnv) -> None:
     np.testing.assert_array_equal(sac.action(values), td3.action(values))
     with pytest.raises(ConfigError, match="expected MlpPolicy"):
         policy_from_sb3(model_of(SimpleNamespace()), envs)
+
+
+def test_a_policy_sees_the_first_observation() -> None:
+    eyes = DroneVectorEnv(2, "navigate", observations=("depth", "velocity"), image_size=(12, 10), world="low-texture")
+    first, second, linear = Conv2d(1, 3, 4, 2), Conv2d(3, 5, 2), Linear(5 * 3 * 4 + 3, 4)
+    made: dict[str, Any] = {"environment": "dronevio/Navigate-v0"}
+    convolutions = Module(first, Tanh(), second, Tanh(), Flatten())
+    policy = policy_from_torch([linear], eyes, ORIGIN, convolutions=convolutions, **made)
+    assert policy.network.encoder is not None and policy.network.encoder.image == (10, 12, 1)
+    assert [one.stride for one in policy.network.encoder.convolutions] == [2, 1]
+    # worked out at one pixel of the second convolution
+    depth = np.random.default_rng(0).uniform(0.0, 2.0, (10, 12))
+    seen = [
+        np.tanh(np.einsum("mckl,kl->m", first.weight.numpy(), depth[i : i + 4, j : j + 4]) + first.bias.numpy())
+        for i in (0, 2)
+        for j in (0, 2)
+    ]
+    corner = np.moveaxis(np.array(seen).reshape(2, 2, 3), 2, 0)
+    expected = np.tanh(np.einsum("mckl,ckl->m", second.weight.numpy(), corner) + second.bias.numpy())
+    features = policy.network.encoder(depth.astype(np.float32).reshape(1, -1), np.tanh).reshape(5, 3, 4)
+    np.testing.assert_allclose(features[:, 0, 0], expected, atol=1e-6)
+    for wrong in (
+        Module(first, second),
+        Module(first, ELU()),
+        Module(Conv2d(1, 3, 4, padding=(1, 1)), Tanh()),
+        Module(Conv2d(1, 3, 4, stride=(1, 2)), Tanh()),
+        Module(),
+    ):
+        with pytest.raises(ConfigError, match=r"convolution"):
+            policy_from_torch([linear, Tanh(), Linear(4, 4)], eyes, ORIGIN, convolutions=wrong, **made)
 
 
 @pytest.mark.parametrize(

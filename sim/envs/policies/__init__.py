@@ -1,3 +1,3 @@
-"""Policies in the simulator: a built-in one, conversion of trained ones, their environments, and their flights as scenarios."""
+"""Policies in the simulator: a built-in one, conversion of trained ones, environments, and flights as scenarios."""
 
 __all__: list[str] = []

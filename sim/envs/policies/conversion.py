@@ -9,13 +9,16 @@ dv.save_policy("hover.safetensors", policy_from_sb3(model, envs))
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
 
 from dronevio.models.errors import ConfigError
-from dronevio.models.policies.network import ACTIVATIONS, Array32, Layer, Network, Scaling
+from dronevio.models.policies.arrays32 import Array32
+from dronevio.models.policies.convolutions import Convolution, Encoder
+from dronevio.models.policies.network import ACTIVATIONS, Layer, Network, Scaling
 from dronevio.models.policies.policy import OWN_VEHICLE, NamedShape, Policy, Provenance
 from dronevio.models.quadrotor import VEHICLES, Quadrotor
 
@@ -28,6 +31,7 @@ def policy_from_torch(
     envs: Any,
     provenance: Provenance,
     *,
+    convolutions: Any = None,
     scaling: Scaling | None = None,
     squashing: str = "clip",
     environment: str = "",
@@ -38,6 +42,9 @@ def policy_from_torch(
         network: A ``torch.nn.Sequential``, which may be nested, or a sequence of modules: linear layers with ``Tanh``,
             ``ReLU`` or ``ELU`` between them, from the flat observation to the action. A ``Tanh`` after the last layer
             is the squashing.
+        convolutions: For a policy that sees, a ``torch.nn.Sequential`` of ``Conv2d`` without padding, each followed by
+            the activation of the network, and of a ``Flatten`` at the end. It receives the first observation, an image;
+            its results and the other observations are the inputs of the network.
         envs: Environment or vector of environments of dronevio in which the policy was trained.
         provenance: Origin of the policy; `provenance_of` makes it.
         scaling: Scaling of the observations before the network, see `Scaling.of_statistics`; none by default.
@@ -52,12 +59,15 @@ def policy_from_torch(
     if not environment and spec is None:
         raise ConfigError("environments that were made without an id; expected the argument 'environment'")
     inputs = tuple(NamedShape(name, shapes[name]) for name in settings.policy_names)
+    layers = _network(list(_leaves(network)), squashing)
+    if convolutions is not None:
+        layers = replace(layers, encoder=_encoder(list(_leaves(convolutions)), layers.activation, inputs[0].shape))
     return Policy(
         environment=environment or spec.id,
         vehicle=_vehicle_name(settings.vehicle),
         inputs=inputs,
         scaling=scaling or Scaling.identity(sum(one.size for one in inputs)),
-        network=_network(list(_leaves(network)), squashing),
+        network=layers,
         action_mode=settings.action,
         action_limits=settings.action_limits,
         action_rate_hz=settings.action_rate_hz,
@@ -145,12 +155,35 @@ def _network(modules: list[Any], squashing: str) -> Network:
         raise ConfigError(f"a network of {', '.join(kinds) or 'no modules'}; expected {_EXPECTED}")
     if any(getattr(module, "alpha", 1.0) != 1.0 for module in modules[1::2]):
         raise ConfigError("an activation ELU with another alpha than 1; expected alpha = 1")
-    layers = []
-    for module in modules[::2]:
-        weight = _array(module.weight)
-        bias = np.zeros(len(weight), np.float32) if module.bias is None else _array(module.bias)
-        layers.append(Layer(weight, bias))
+    layers = [Layer(_array(module.weight), _bias(module)) for module in modules[::2]]
     return Network(tuple(layers), between.pop(), squashing)
+
+
+def _encoder(modules: list[Any], activation: str, image: tuple[int, ...]) -> Encoder:
+    """Return the convolutions of modules without parts, of an image with a shape.
+
+    Raises:
+        ConfigError: They are not plain convolutions with the activation after each.
+    """
+    kinds = [type(module).__name__.lower() for module in modules]
+    if kinds and kinds[-1] == "flatten":
+        modules, kinds = modules[:-1], kinds[:-1]
+    if len(kinds) % 2 or set(kinds[::2]) != {"conv2d"} or set(kinds[1::2]) != {activation} or len(image) != 3:
+        expected = f"an image, and Conv2d with {activation} after each, as between the linear layers"
+        raise ConfigError(f"convolutions {', '.join(kinds)} of shape {image}; expected {expected}")
+    for module in modules[::2]:
+        plain = all(size == 0 for size in module.padding) and module.dilation == (1, 1) and module.groups == 1
+        if not plain or module.stride[0] != module.stride[1]:
+            raise ConfigError(
+                f"a convolution {module}; expected one without padding, dilation and groups, of one stride"
+            )
+    seeing = [Convolution(_array(module.weight), _bias(module), int(module.stride[0])) for module in modules[::2]]
+    return Encoder((image[0], image[1], image[2]), tuple(seeing))
+
+
+def _bias(module: Any) -> Array32:
+    """Return the bias of a layer, zero if it has none."""
+    return np.zeros(len(_array(module.weight)), np.float32) if module.bias is None else _array(module.bias)
 
 
 def _array(tensor: Any) -> Array32:

@@ -4,12 +4,15 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_json, print_values
+
+if TYPE_CHECKING:
+    from dronevio.models.policies.convolutions import Convolution
 
 
 @dataclass(frozen=True)
@@ -35,8 +38,9 @@ def main(arguments: Sequence[str]) -> int:
 
     policy = load_policy(command.policy)
     network = policy.network
-    widths = [network.inputs, *(len(layer.weight) for layer in network.layers)]
-    parameters = sum(layer.weight.size + layer.bias.size for layer in network.layers)
+    seeing = () if network.encoder is None else network.encoder.convolutions
+    widths = [network.layers[0].weight.shape[1], *(len(layer.weight) for layer in network.layers)]
+    parameters = sum(part.weight.size + part.bias.size for part in (*seeing, *network.layers))
     if command.printing.json:
         document = json.loads(description(policy))
         document["network"] |= {"widths": widths, "parameters": parameters}
@@ -51,6 +55,7 @@ def main(arguments: Sequence[str]) -> int:
         ("action mode", policy.action_mode, ""),
         ("action rate", f"{policy.action_rate_hz:g}", "Hz"),
         ("rate of IMU and inner loops", f"{policy.imu_rate_hz:g}", "Hz"),
+        *((("convolutions", " – ".join(map(_described, seeing)), ""),) if seeing else ()),
         ("widths of the layers", " – ".join(map(str, widths)), ""),
         ("parameters", str(parameters), ""),
         ("activation, squashing", f"{network.activation}, {network.squashing}", ""),
@@ -61,3 +66,9 @@ def main(arguments: Sequence[str]) -> int:
     )
     print_values(f"Policy {command.policy}", rows)
     return 0
+
+
+def _described(convolution: "Convolution") -> str:
+    """Return a convolution as text, such as ``16 × 8 × 8 (stride 4)``."""
+    outputs, _, height, width = convolution.weight.shape
+    return f"{outputs} × {height} × {width} (stride {convolution.stride})"
