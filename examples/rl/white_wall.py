@@ -1,8 +1,8 @@
 """A policy that keeps its estimate good, beside policies that do not: flight to a goal before a white wall.
 
 Policy and inner loops see the estimate of the visual-inertial odometry, which finds nothing to track on the white wall.
-PPO first learns to fly to the goal on the true state, and goes on with the odometry in the loop: once for the goal alone,
-and once with a penalty of the standard deviation of the estimated position (weight `uncertainty`)::
+PPO first learns to fly to the goal on the true state, and goes on with the odometry in the loop, with and without a
+penalty of the standard deviation of the estimated position (the weight ``uncertainty`` of the task)::
 
     python white_wall.py train --weight 1.0
     python white_wall.py train --weight 0.0
@@ -39,6 +39,8 @@ GOALS_M = np.array([[4.2, -2.5, 1.0], [4.6, 2.5, 1.8]])
 """Box of the goals, about a metre before the wall [m]."""
 RATES: dict[str, Any] = {"action_rate_hz": 5.0, "imu_rate_hz": 100.0}
 PREFIX = "white-wall"
+TITLES = {"truth": "true state", "estimate-0": "estimate", "estimate-1": "estimate, σ in the reward"}
+"""What each policy has learned on."""
 
 
 @dataclass(frozen=True)
@@ -133,9 +135,8 @@ def flown(policy: dv.Policy, episodes: int) -> list[dict[str, Any]]:
             place = info["truth"]["position_m"]
             rows.append((1e-9 * info["t_ns"], *place[:2], yaw, info["position_error_m"], sigma_m, info["landmarks"]))
         names = ("t_s", "x_m", "y_m", "yaw_deg", "error_m", "sigma_m", "landmarks")
-        log = {
-            name: " ".join(f"{value:.4g}" for value in column) for name, column in zip(names, zip(*rows), strict=True)
-        }
+        columns = zip(names, np.array(rows).T, strict=True)
+        log = {name: " ".join(f"{value:.4g}" for value in column) for name, column in columns}
         flights.append({"success": bool(info["success"]), "distance_m": float(info["distance_m"]), "log": log})
         print(f"episode {number}: distance {info['distance_m']:.2f} m, error {rows[-1][4]:.3f} m", flush=True)
     env.close()
@@ -159,6 +160,49 @@ def train(command: TrainCommand) -> None:
 
 def draw(command: DrawCommand) -> None:
     """Draw paths and errors of the policies, and print their results."""
+    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
+    above, errors = figure.subplots(1, 2, width_ratios=(1.0, 1.3))
+    above.plot([5.45, 5.45], [-3.9, 3.9], color="0.6", linewidth=4)
+    rows = []
+    for colour, (name, title) in enumerate(TITLES.items()):
+        for path in sorted(command.results.glob(f"{PREFIX}-{name}-[0-9]*.json")):
+            result = json.loads(path.read_text(encoding="utf-8"))
+            flights = [
+                {key: np.array(text.split(), float) for key, text in one["log"].items()} for one in result["flights"]
+            ]
+            final_m = np.array([one["error_m"][-1] for one in flights])
+            goal_m = np.array([one["distance_m"] for one in result["flights"]])
+            success = np.mean([one["success"] for one in result["flights"]])
+            figures = [f"{value:.2f}" for value in (*np.percentile(final_m, (50, 100)), np.median(goal_m))]
+            rows.append((title, str(result["seed"]), f"{success:.0%}", *figures, f"{result['cpu_s'] / 60.0:.0f}"))
+            if result["seed"] == 0:
+                _draw_flights(above, errors, flights, f"C{colour}", title)
+    above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="path and view of one flight")
+    errors.set(xlabel="time [s]", ylabel="error of the position [m]", yscale="log", title="error of the estimate")
+    errors.grid(alpha=0.3)
+    errors.legend(loc="upper left")
+    matplotlib.rcParams["svg.hashsalt"] = "dronevio"  # the same picture has the same bytes
+    figure.savefig(command.out, metadata={"Date": None})
+    columns = ("at the goal", "median error [m]", "largest error [m]", "median distance [m]", "processor time [min]")
+    print_table(columns, rows)
+
+
+def _draw_flights(above: Any, errors: Any, flights: list[dict[str, Any]], colour: str, title: str) -> None:
+    """Draw path and views of a flight, and the errors of all flights."""
+    one = flights[1]
+    every = slice(4, None, 5)  # each second
+    yaw = np.radians(one["yaw_deg"][every])
+    above.plot(one["x_m"], one["y_m"], color=colour, linewidth=1.2)
+    above.quiver(one["x_m"][every], one["y_m"][every], np.cos(yaw), np.sin(yaw), color=colour, width=0.006, scale=14.0)
+    for number, flight in enumerate(flights):
+        errors.plot(
+            flight["t_s"],
+            flight["error_m"],
+            color=colour,
+            linewidth=0.6,
+            alpha=0.7,
+            label=title if number == 0 else None,
+        )
 
 
 def main(command: TrainCommand | DrawCommand) -> None:
