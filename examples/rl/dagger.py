@@ -20,6 +20,7 @@ import gymnasium
 import matplotlib
 import numpy as np
 import torch
+import torch._dynamo  # before the first image: with Triton, in builds for CUDA, it crashes after Mesa's OpenGL
 import tyro
 from curves import HERE, print_table
 from expert import Expert
@@ -218,7 +219,6 @@ def train(command: DaggerCommand, seed: int) -> tuple[dv.Policy, dict[str, Any]]
     torch.manual_seed(seed)
     begun_s = time.process_time()
     learner = Learner(19, command.blind)
-    # Before the first image: PyTorch's builds for CUDA load Triton now, which crashes after Mesa's OpenGL
     optimizer = torch.optim.Adam(learner.parameters(), 1e-3)
     flights, samples = Flights(command, seed), Samples(command.rounds * command.steps * command.envs)
     curve: dict[str, list[float]] = {"samples": [], "success_rate": [], "cpu_s": []}

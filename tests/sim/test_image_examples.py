@@ -149,7 +149,7 @@ def test_the_white_wall_is_a_task(example: Any) -> None:
     pytest.importorskip("stable_baselines3")
     wall = example("white_wall")
     task = wall.WhiteWall()
-    envs = DroneVectorEnv(5, task, flat=False, **wall.RATES)
+    envs = DroneVectorEnv(5, task, flat=False, **wall.FLIGHT)
     seen, _ = envs.reset(seed=0)
     goal_m = seen["goals"][:, 0]
     assert (goal_m[:, 0] > 4.0).all() and (np.abs(goal_m[:, 1]) < 1e-5).all()  # they head for their goals
