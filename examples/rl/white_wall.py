@@ -51,7 +51,7 @@ class WhiteWall(VioNavigate):
     default_observations: ClassVar[tuple[str, ...]] = ("goals", "rotation", "body_velocity", "last_action")
 
     world: str = str(HERE / "white_wall.yaml")
-    episode_s: float = 12.0
+    episode_s: float = 15.0
     tolerance_m: float = 0.3
     uncertainty: float = 0.0
 

@@ -31,11 +31,10 @@ from dronevio.models.policies.onnx_file import INPUT
 from dronevio.models.policies.policy_file import METADATA_KEY, description
 
 IMAGE = 9, 11, 2
-RNG = np.random.default_rng(0)
 
 
-def drawn(*shape: int) -> np.ndarray:
-    return RNG.normal(0.0, 0.4, shape).astype(np.float32)
+def drawn(*shape: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng((seed, *shape)).normal(0.0, 0.4, shape).astype(np.float32)
 
 
 def seeing(activation: str = "relu") -> Policy:
@@ -48,7 +47,7 @@ def seeing(activation: str = "relu") -> Policy:
         environment="dronevio/Navigate-v0",
         vehicle="research",
         inputs=(NamedShape("depth", IMAGE), NamedShape("velocity", (3,))),
-        scaling=Scaling(drawn(size), np.exp(drawn(size)), 2.0),
+        scaling=Scaling(drawn(size), np.exp(drawn(size, seed=1)), 2.0),
         network=Network(layers, activation, "tanh", Encoder(IMAGE, (first, second))),
         action_mode="velocity",
         action_limits=ActionLimits(),
