@@ -262,7 +262,8 @@ class _OneDrone:
 
     def action(self, observation: Mapping[str, Any]) -> npt.NDArray[np.float32]:
         """Return the action (A,) for an observation."""
-        return self.policy.action({name: np.asarray(observation[name])[None] for name in self.policy.names})[0]
+        rows = {name: np.asarray(observation[name])[None] for name in self.policy.names}
+        return np.asarray(self.policy.action(rows)[0])
 
 
 def evaluate_baseline(

@@ -26,6 +26,7 @@ channels of the first observation, and ``strides``, a list of integers |
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 
@@ -64,7 +65,9 @@ def save_policy(path: str | Path, policy: Policy) -> None:
     """
     arrays = {_MEAN: policy.scaling.mean, _SCALE: policy.scaling.scale}
     encoder = policy.network.encoder
-    for group, parts in ((_LAYERS, policy.network.layers), (_SEEING, () if encoder is None else encoder.convolutions)):
+    groups: dict[str, Sequence[Layer | Convolution]] = {_LAYERS: policy.network.layers}
+    groups[_SEEING] = () if encoder is None else encoder.convolutions
+    for group, parts in groups.items():
         for index, part in enumerate(parts):
             arrays[_weight(group, index)], arrays[_bias(group, index)] = part.weight, part.bias
     contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}

@@ -26,7 +26,7 @@ def policy_envs(policy: Policy, count: int, *, environment: str = "", **settings
     name = environment or policy.environment
     if not has_vectors(name):
         raise ConfigError(f"environment {name!r} without native vectors; expected one that is not flown on an estimate")
-    envs = gymnasium.make_vec(name, num_envs=count, **policy_arguments(policy, settings))
+    envs: Any = gymnasium.make_vec(name, num_envs=count, **policy_arguments(policy, settings))
     require_fitting(policy, envs, envs.single_action_space.shape, name)
     return envs
 

@@ -40,7 +40,8 @@ def main(arguments: Sequence[str]) -> int:
     network = policy.network
     seeing = () if network.encoder is None else network.encoder.convolutions
     widths = [network.layers[0].weight.shape[1], *(len(layer.weight) for layer in network.layers)]
-    parameters = sum(part.weight.size + part.bias.size for part in (*seeing, *network.layers))
+    parameters = sum(one.weight.size + one.bias.size for one in seeing)
+    parameters += sum(layer.weight.size + layer.bias.size for layer in network.layers)
     if command.printing.json:
         document = json.loads(description(policy))
         document["network"] |= {"widths": widths, "parameters": parameters}
