@@ -146,8 +146,13 @@ def evaluate_policy(
         finally:
             envs.close()
         progress(first + count, episodes)
+    return _joined(parts, name, seed)
+
+
+def _joined(parts: Sequence[PolicyEvaluation], environment: str, seed: int) -> PolicyEvaluation:
+    """Return the results of several vectors as one."""
     return PolicyEvaluation(
-        name,
+        environment,
         seed,
         np.concatenate([part.success for part in parts]),
         np.concatenate([part.distance_m for part in parts]),

@@ -12,8 +12,8 @@ MOST_CONVOLUTIONS = 8
 """Upper limit of the number of convolutions."""
 LARGEST_IMAGE = 65_536
 """Upper limit of the number of values of an image, and of the results of a convolution."""
-LARGEST_KERNEL = 16_384
-"""Upper limit of the number of weights of one result."""
+MOST_PRODUCTS = 2**24
+"""Upper limit of the number of values that a convolution multiplies for one output, which are in memory together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +65,8 @@ class Encoder:
         rows, columns, channels = self.image
         for index, one in enumerate(self.convolutions):
             name, shape = f"convolutions.{index}.weight", one.weight.shape
-            if len(shape) != 4 or not (min(shape) >= 1 and prod(shape[1:]) <= LARGEST_KERNEL and shape[1] == channels):
-                expected = f"outputs × {channels} × rows × columns, with up to {LARGEST_KERNEL} weights of an output"
-                raise PolicyError(f"{name}: shape {shape}", expected)
+            if len(shape) != 4 or min(shape) < 1 or shape[1] != channels:
+                raise PolicyError(f"{name}: shape {shape}", f"outputs × {channels} × rows × columns")
             if not 1 <= one.stride <= LARGEST_IMAGE:
                 raise PolicyError(f"network.strides.{index}: {one.stride}", "1 or more")
             require_numbers(name, one.weight)
@@ -78,6 +77,10 @@ class Encoder:
             channels = shape[0]
             if rows * columns * channels > LARGEST_IMAGE:
                 raise PolicyError(f"{name}: {rows} × {columns} × {channels} results", f"up to {LARGEST_IMAGE}")
+            if rows * columns * prod(shape[1:]) > MOST_PRODUCTS:
+                raise PolicyError(
+                    f"{name}: shape {shape} for {rows} × {columns} results", f"up to {MOST_PRODUCTS} products"
+                )
 
     @property
     def inputs(self) -> int:

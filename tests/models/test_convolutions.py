@@ -164,6 +164,9 @@ def test_results_are_bounded() -> None:
     wide = Convolution(np.zeros((300, 1, 1, 1), np.float32), np.zeros(300, np.float32))
     with pytest.raises(ConfigError, match="64 × 64 × 300 results; expected up to 65536"):
         Encoder((64, 64, 1), (wide,))
+    large = Convolution(np.zeros((1, 1, 128, 128), np.float32), np.zeros(1, np.float32))
+    with pytest.raises(ConfigError, match="for 129 × 129 results; expected up to 16777216 products"):
+        Encoder((256, 256, 1), (large,))
     with pytest.raises(ConfigError, match="0 convolutions"):
         Encoder((64, 64, 1), ())
     with pytest.raises(ConfigError, match=r"network\.image"):

@@ -159,6 +159,10 @@ def test_a_policy_sees_the_first_observation() -> None:
     expected = np.tanh(np.einsum("mckl,ckl->m", second.weight.numpy(), corner) + second.bias.numpy())
     features = policy.network.encoder(depth.astype(np.float32).reshape(1, -1), np.tanh).reshape(5, 3, 4)
     np.testing.assert_allclose(features[:, 0, 0], expected, atol=1e-6)
+    alone = policy_from_torch([Linear(60 + 3, 4)], eyes, ORIGIN, convolutions=Module(first, ELU()), **made)
+    assert alone.network.activation == "elu"  # a single linear layer has none
+    with pytest.raises(ConfigError, match="expected alpha = 1"):
+        policy_from_torch([Linear(60 + 3, 4)], eyes, ORIGIN, convolutions=Module(first, ELU(0.5)), **made)
     for wrong in (
         Module(first, second),
         Module(first, ELU()),

@@ -61,7 +61,7 @@ def policy_from_torch(
     inputs = tuple(NamedShape(name, shapes[name]) for name in settings.policy_names)
     layers = _network(list(_leaves(network)), squashing)
     if convolutions is not None:
-        layers = replace(layers, encoder=_encoder(list(_leaves(convolutions)), layers.activation, inputs[0].shape))
+        layers = _seeing(layers, list(_leaves(convolutions)), inputs[0].shape)
     return Policy(
         environment=environment or spec.id,
         vehicle=_vehicle_name(settings.vehicle),
@@ -153,14 +153,13 @@ def _network(modules: list[Any], squashing: str) -> Network:
     between = set(kinds[1::2]) or {"tanh"}
     if len(kinds) % 2 == 0 or set(kinds[::2]) != {"linear"} or len(between) > 1 or not between <= set(ACTIVATIONS):
         raise ConfigError(f"a network of {', '.join(kinds) or 'no modules'}; expected {_EXPECTED}")
-    if any(getattr(module, "alpha", 1.0) != 1.0 for module in modules[1::2]):
-        raise ConfigError("an activation ELU with another alpha than 1; expected alpha = 1")
+    _require_plain(modules[1::2])
     layers = [Layer(_array(module.weight), _bias(module)) for module in modules[::2]]
     return Network(tuple(layers), between.pop(), squashing)
 
 
-def _encoder(modules: list[Any], activation: str, image: tuple[int, ...]) -> Encoder:
-    """Return the convolutions of modules without parts, of an image with a shape.
+def _seeing(network: Network, modules: list[Any], image: tuple[int, ...]) -> Network:
+    """Return a network with the convolutions of modules without parts, of an image with a shape.
 
     Raises:
         ConfigError: They are not plain convolutions with the activation after each.
@@ -168,9 +167,13 @@ def _encoder(modules: list[Any], activation: str, image: tuple[int, ...]) -> Enc
     kinds = [type(module).__name__.lower() for module in modules]
     if kinds and kinds[-1] == "flatten":
         modules, kinds = modules[:-1], kinds[:-1]
-    if len(kinds) % 2 or set(kinds[::2]) != {"conv2d"} or set(kinds[1::2]) != {activation} or len(image) != 3:
-        expected = f"an image, and Conv2d with {activation} after each, as between the linear layers"
+    # a single linear layer has no activation of its own
+    between = {network.activation} if len(network.layers) > 1 else set(kinds[1::2])
+    is_plain = set(kinds[::2]) == {"conv2d"} and set(kinds[1::2]) == between and len(between) == 1
+    if len(kinds) % 2 or not is_plain or not between <= set(ACTIVATIONS) or len(image) != 3:
+        expected = "an image, and Conv2d with the activation of the linear layers after each"
         raise ConfigError(f"convolutions {', '.join(kinds)} of shape {image}; expected {expected}")
+    _require_plain(modules[1::2])
     for module in modules[::2]:
         plain = all(size == 0 for size in module.padding) and module.dilation == (1, 1) and module.groups == 1
         if not plain or module.stride[0] != module.stride[1]:
@@ -178,7 +181,14 @@ def _encoder(modules: list[Any], activation: str, image: tuple[int, ...]) -> Enc
                 f"a convolution {module}; expected one without padding, dilation and groups, of one stride"
             )
     seeing = [Convolution(_array(module.weight), _bias(module), int(module.stride[0])) for module in modules[::2]]
-    return Encoder((image[0], image[1], image[2]), tuple(seeing))
+    encoder = Encoder((image[0], image[1], image[2]), tuple(seeing))
+    return replace(network, activation=between.pop(), encoder=encoder)
+
+
+def _require_plain(activations: list[Any]) -> None:
+    """Raise ConfigError if an activation has a parameter that a policy cannot represent."""
+    if any(getattr(module, "alpha", 1.0) != 1.0 for module in activations):
+        raise ConfigError("an activation ELU with another alpha than 1; expected alpha = 1")
 
 
 def _bias(module: Any) -> Array32:
