@@ -17,7 +17,7 @@ from dronevio.models.imu import ImuSamples
 from dronevio.models.policies import Layer, NamedShape, Network, Policy, Scaling
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, Health, NavState
-from dronevio.sim.envs import Hover, VioHover
+from dronevio.sim.envs import DroneEnv, Hover, Navigate, VioHover
 from dronevio.sim.envs.policies.environments import policy_envs
 from dronevio.sim.envs.vector import DroneVectorEnv
 
@@ -99,6 +99,22 @@ def test_episodes_are_in_the_given_worlds(hovering_policy: Policy, monkeypatch: 
     task = Hover(episode_s=0.2)
     result = dv.evaluate_policy(hovering_policy, 5, world="low-texture", world_seeds=(7, 9, 4), task=task)
     assert len(result.success) == 5 and flown == [7, 9, 4, 7, 9]
+
+
+def test_single_episodes_are_in_the_given_worlds(monkeypatch: pytest.MonkeyPatch) -> None:
+    flown: list[int] = []
+    plain = DroneEnv.reset
+
+    def reset(self: DroneEnv, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        observation, info = plain(self, seed=seed, options=options)
+        flown.append(info["randomization"]["world_seed"])
+        return observation, info
+
+    monkeypatch.setattr(DroneEnv, "reset", reset)
+    monkeypatch.setattr(policy_evaluation, "MOST_WORLDS", 2)
+    short: dict[str, Any] = {"task": Navigate(episode_s=0.2), "observations": ("goals", "rotation")}
+    result = dv.evaluate_baseline("straight", 3, world="low-texture", world_seeds=(9, 7, 4), **short)
+    assert len(result.success) == 3 and flown == [9, 7, 4]
 
 
 def test_episodes_on_an_estimate_are_flown_one_after_another(hovering_policy: Policy) -> None:
