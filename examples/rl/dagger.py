@@ -65,10 +65,12 @@ class DaggerCommand:
     """Number of steps of the optimizer after a round; five times as many after the last one."""
     worlds: int = len(UNSEEN_WORLDS)
     """Number of unseen worlds in which the policies are evaluated."""
-    out: Path = HERE
-    """Folder whose `policies` and `results` are written."""
+    out: Path = Path("runs")
+    """Folder for the policies and their results."""
+    results: Path = HERE / "results"
+    """Folder with the results that are drawn."""
     draw: Path | None = None
-    """Picture of the learning curves in the folder, which is drawn instead of a training."""
+    """Picture of the learning curves of all results, which is drawn instead of a training."""
 
 
 class Learner(nn.Module):
@@ -76,20 +78,20 @@ class Learner(nn.Module):
 
     def __init__(self, others: int, blind: bool) -> None:
         super().__init__()
-        convolutions = [(1, 16, 8, 4), (16, 32, 4, 2), (32, 32, 3, 1)]  # channels, size and stride
-        layers = [layer for sizes in convolutions for layer in (nn.Conv2d(*sizes), nn.ReLU())]
-        self.eyes = None if blind else nn.Sequential(*layers, nn.Flatten())
+        sizes = [(1, 16, 8, 4), (16, 32, 4, 2), (32, 32, 3, 1)]  # channels, kernel and stride
+        modules = [module for one in sizes for module in (nn.Conv2d(*one), nn.ReLU())]
+        self.convolutions = None if blind else nn.Sequential(*modules, nn.Flatten())
         features = 0 if blind else 32 * 4 * 4
-        self.hands = nn.Sequential(
+        self.layers = nn.Sequential(
             *(nn.Linear(features + others, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 4)),
             nn.Tanh(),
         )
 
     def forward(self, depth: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
         """Return actions (n, 4) for scaled depths (n, 64, 64) and other scaled observations (n, N)."""
-        if self.eyes is not None:
-            others = torch.cat([self.eyes(depth[:, None]), others], dim=1)
-        return self.hands(others)
+        if self.convolutions is not None:
+            others = torch.cat([self.convolutions(depth[:, None]), others], dim=1)
+        return self.layers(others)
 
 
 def scaled_depth(depth_m: Any) -> Any:
@@ -234,7 +236,7 @@ def train(command: DaggerCommand, seed: int) -> tuple[dv.Policy, dict[str, Any]]
         )
     origin = provenance_of("DAgger", samples.count, seed)
     policy = policy_from_torch(
-        learner.hands, flights.envs, origin, convolutions=learner.eyes, scaling=policy_scaling(command.blind)
+        learner.layers, flights.envs, origin, convolutions=learner.convolutions, scaling=policy_scaling(command.blind)
     )
     flights.envs.close()
     return policy, {name: " ".join(f"{value:.4g}" for value in values) for name, values in curve.items()}
@@ -250,7 +252,7 @@ def draw(folder: Path, out: Path) -> None:
     figure = Figure(figsize=(6.0, 3.2), layout="constrained")
     axes, rows = figure.subplots(), []
     for blind, style in ((False, "-"), (True, ":")):
-        for path in sorted((folder / "results").glob(f"{name_of(blind)}-*.json")):
+        for path in sorted(folder.glob(f"{name_of(blind)}-*.json")):
             result = json.loads(path.read_text(encoding="utf-8"))
             samples, success = (np.array(result["curve"][name].split(), float) for name in ("samples", "success_rate"))
             label = f"{'blind' if blind else 'depth'}, seed {result['seed']}"
@@ -271,7 +273,7 @@ def draw(folder: Path, out: Path) -> None:
 def main(command: DaggerCommand) -> None:
     """Train all seeds and evaluate them in unseen worlds, or draw."""
     if command.draw is not None:
-        draw(command.out, command.draw)
+        draw(command.results, command.draw)
         return
     torch.set_num_threads(1)  # the networks are too small for more
     for seed in command.seeds:
@@ -287,12 +289,10 @@ def main(command: DaggerCommand) -> None:
             "evaluation": result.counts(),
             "curve": curve,
         }
-        path = command.out / "results" / f"{name_of(command.blind)}-{seed}.json"
-        path.parent.mkdir(parents=True, exist_ok=True)
+        command.out.mkdir(parents=True, exist_ok=True)
+        path = command.out / f"{name_of(command.blind)}-{seed}.json"
         path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-        if seed == command.seeds[0]:
-            (command.out / "policies").mkdir(exist_ok=True)
-            dv.save_policy(command.out / "policies" / f"{name_of(command.blind)}.safetensors", policy)
+        dv.save_policy(path.with_suffix(".safetensors"), policy)
         print(f"seed {seed}: {result.counts()}")
 
 

@@ -1,10 +1,8 @@
 """The examples of policies that see: the expert of Navigate, DAgger, and the white wall."""
 
-import importlib
 import json
-from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -16,22 +14,6 @@ from dronevio.envs import DroneVectorEnv, OwnObservation, Randomization, policy_
 from dronevio.models.policies import Provenance
 from dronevio.sim.envs.tasks.task import PointGoals
 from dronevio.sim.physics.vehicle_states import VehicleStates
-
-FOLDER = Path(__file__).resolve().parents[2] / "examples" / "rl"
-
-pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="the examples are in the repository, not in the package")
-
-
-@pytest.fixture(scope="module")
-def example() -> Callable[[str], ModuleType]:
-    """Gives a module of the examples by name; they belong to no package, and find each other by their names."""
-
-    def load(name: str) -> ModuleType:
-        with pytest.MonkeyPatch.context() as patch:
-            patch.syspath_prepend(FOLDER)
-            return importlib.import_module(name)
-
-    return load
 
 
 def test_the_expert_flies_around_trees(example: Any) -> None:
@@ -110,8 +92,8 @@ def test_the_policy_acts_as_the_learner(example: Any, blind: bool) -> None:
     dagger = example("dagger")
     envs = DroneVectorEnv(3, "navigate", observations=dagger.NAMES[blind:], world="low-texture", action_rate_hz=10.0)
     learner, origin = dagger.Learner(19, blind), Provenance("DAgger", 0, 0)
-    made = {"convolutions": learner.eyes, "scaling": dagger.policy_scaling(blind)}
-    policy = policy_from_torch(learner.hands, envs, origin, environment="dronevio/Navigate-v0", **made)
+    made = {"convolutions": learner.convolutions, "scaling": dagger.policy_scaling(blind)}
+    policy = policy_from_torch(learner.layers, envs, origin, environment="dronevio/Navigate-v0", **made)
     seen, _ = envs.reset(seed=0)
     depth = np.zeros((3, 0)) if blind else dagger.scaled_depth(seen["depth"][..., 0])
     inputs = (torch.from_numpy(part.astype(np.float32)) for part in (depth, dagger.scaled_others(seen)))
@@ -130,17 +112,17 @@ def test_a_short_training_by_dagger(
     short = {"rounds": 2, "steps": 3, "envs": 4, "updates": 2, "worlds": 2, "out": tmp_path}
     dagger.main(dagger.DaggerCommand(blind=blind, **short))
     name = dagger.name_of(blind)
-    policy = dv.load_policy(tmp_path / "policies" / f"{name}.safetensors")
+    policy = dv.load_policy(tmp_path / f"{name}-0.safetensors")
     assert policy.names == dagger.NAMES[blind:] and (policy.network.encoder is None) == blind
-    result = json.loads((tmp_path / "results" / f"{name}-0.json").read_text(encoding="utf-8"))
+    result = json.loads((tmp_path / f"{name}-0.json").read_text(encoding="utf-8"))
     assert result["curve"]["samples"] == "12 24" and sum(result["evaluation"].values()) == 2
     dagger.draw(tmp_path, tmp_path / "curves.svg")
     assert f"| {name} | 0 |" in capsys.readouterr().out and (tmp_path / "curves.svg").stat().st_size > 1000
 
 
 @pytest.mark.slow
-def test_the_committed_policy_reaches_goals_in_unseen_forests() -> None:
-    policy = dv.load_policy(FOLDER / "policies" / "navigate-depth.safetensors")
+def test_the_committed_policy_reaches_goals_in_unseen_forests(example: Any) -> None:
+    policy = dv.load_policy(example("curves").HERE / "policies" / "navigate-depth.safetensors")
     result = dv.evaluate_policy(policy, 10, 5, world_seeds=range(20_000, 20_010), world="forest")
     assert result.success.sum() >= 8
 

@@ -1,10 +1,7 @@
 """The trainings of examples/rl: their settings, their evaluation, the committed policies, and a few steps of PPO."""
 
-import importlib
 import json
-from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -13,20 +10,6 @@ import pytest
 import dronevio as dv
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "rl"
-
-pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="the examples are in the repository, not in the package")
-
-
-@pytest.fixture(scope="module")
-def example() -> Callable[[str], ModuleType]:
-    """Gives a module of the examples by name; they belong to no package, and find each other by their names."""
-
-    def load(name: str) -> ModuleType:
-        with pytest.MonkeyPatch.context() as patch:
-            patch.syspath_prepend(FOLDER)
-            return importlib.import_module(name)
-
-    return load
 
 
 def test_all_trainings_have_environments(example: Any) -> None:
