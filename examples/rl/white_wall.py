@@ -29,7 +29,7 @@ from trainings import EVALUATION_SEED
 
 import dronevio as dv
 from dronevio.envs import ActionLimits, DroneVectorEnv, VioNavigate, policy_from_sb3
-from dronevio.models.rotation import rotation_z
+from dronevio.models.rotation import matrix_from_quat_wxyz, rotation_z, yaw_rad_from_matrix
 from dronevio.sim.envs.policies.environments import policy_arguments
 from dronevio.sim.envs.stable_baselines import StableBaselinesVecEnv
 from dronevio.sim.envs.tasks.task import PointGoals, distance_m
@@ -84,8 +84,8 @@ class TrainCommand:
     """Seeds of environments and agent."""
     episodes: int = 20
     """Number of episodes in which a policy is evaluated."""
-    results: Path = HERE / "results"
-    """Folder of the results."""
+    out: Path = Path("runs")
+    """Folder for the policies and their results."""
 
 
 @dataclass(frozen=True)
@@ -131,13 +131,12 @@ def flown(policy: dv.Policy, episodes: int) -> list[dict[str, Any]]:
             action = policy.action({name: observation[name][None] for name in policy.names})[0]
             observation, _, terminated, truncated, info = env.step(action)
             over = terminated or truncated
-            quat = info["truth"]["quat_wxyz"]
-            yaw = np.degrees(
-                np.arctan2(2.0 * (quat[0] * quat[3] + quat[1] * quat[2]), 1.0 - 2.0 * (quat[2:] ** 2).sum())
-            )
+            yaw_deg = np.degrees(yaw_rad_from_matrix(matrix_from_quat_wxyz(info["truth"]["quat_wxyz"])))
             sigma_m = float(np.sqrt(np.linalg.eigvalsh(info["covariance"][3:6, 3:6])[-1]))
             place = info["truth"]["position_m"]
-            rows.append((1e-9 * info["t_ns"], *place[:2], yaw, info["position_error_m"], sigma_m, info["landmarks"]))
+            rows.append(
+                (1e-9 * info["t_ns"], *place[:2], yaw_deg, info["position_error_m"], sigma_m, info["landmarks"])
+            )
         names = ("t_s", "x_m", "y_m", "yaw_deg", "error_m", "sigma_m", "landmarks")
         columns = zip(names, np.array(rows).T, strict=True)
         log = {name: " ".join(f"{value:.4g}" for value in column) for name, column in columns}
@@ -158,8 +157,10 @@ def train(command: TrainCommand) -> None:
         name = f"estimate-{command.weight:g}" if command.samples else "truth"
         document = {"name": name, "seed": seed, "cpu_s": round(cpu_s), "flights": flown(policy, command.episodes)}
         document["versions"] = policy.provenance.versions
-        path = command.results / f"{PREFIX}-{name}-{seed}.json"
+        command.out.mkdir(parents=True, exist_ok=True)
+        path = command.out / f"{PREFIX}-{name}-{seed}.json"
         path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+        dv.save_policy(path.with_suffix(".safetensors"), policy)
 
 
 def draw(command: DrawCommand) -> None:

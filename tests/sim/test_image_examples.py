@@ -146,6 +146,6 @@ def test_the_white_wall_in_a_short_training(example: Any, tmp_path: Path, monkey
     pytest.importorskip("stable_baselines3")
     wall = example("white_wall")
     monkeypatch.setattr(wall, "flown", lambda policy, episodes: [{"names": policy.names, "episodes": episodes}])
-    wall.main(wall.TrainCommand(samples=0, true_samples=1920, episodes=2, results=tmp_path))
+    wall.main(wall.TrainCommand(samples=0, true_samples=1920, episodes=2, out=tmp_path))
     result = json.loads((tmp_path / "white-wall-truth-0.json").read_text(encoding="utf-8"))
     assert result["flights"] == [{"names": list(wall.WhiteWall.default_observations), "episodes": 2}]
