@@ -149,3 +149,22 @@ def test_the_white_wall_in_a_short_training(example: Any, tmp_path: Path, monkey
     wall.main(wall.TrainCommand(samples=0, true_samples=1920, episodes=2, out=tmp_path))
     result = json.loads((tmp_path / "white-wall-truth-0.json").read_text(encoding="utf-8"))
     assert result["flights"] == [{"names": list(wall.WhiteWall.default_observations), "episodes": 2}]
+
+
+def test_the_picture_of_the_white_wall(example: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Errors are those at the end of the flights: their median, and the largest."""
+    pytest.importorskip("stable_baselines3")
+    wall = example("white_wall")
+    t = np.arange(0.2, 20.1, 0.2)
+
+    def flight(final_m: float, distance_m: float) -> dict[str, Any]:
+        columns = {"t_s": t, "x_m": 0.2 * t, "y_m": 0.0 * t, "yaw_deg": 4.0 * t, "error_m": final_m * t / t[-1] + 1e-3}
+        log = {name: " ".join(map(str, values)) for name, values in columns.items()}
+        return {"success": distance_m < 0.3, "distance_m": distance_m, "log": log}
+
+    flights = [flight(0.03, 0.1), flight(0.05, 0.2), flight(4.0, 3.9)]
+    document = {"name": "truth", "seed": 0, "cpu_s": 600, "flights": flights}
+    (tmp_path / "white-wall-truth-0.json").write_text(json.dumps(document), encoding="utf-8")
+    wall.main(wall.DrawCommand(tmp_path / "wall.svg", tmp_path))
+    assert "<svg" in (tmp_path / "wall.svg").read_text(encoding="utf-8")
+    assert "| true state | 0 | 67% | 0.05 | 4.00 | 0.20 | 10 |" in capsys.readouterr().out
