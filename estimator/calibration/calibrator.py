@@ -1,4 +1,4 @@
-"""The calibration of the odometry: corrected online, replaced where the clocks differ, and uncertain until verified."""
+"""The calibration of the odometry: corrected online, replaced where the clocks differ, and as uncertain as it is known."""
 
 from dataclasses import dataclass, replace
 
@@ -7,7 +7,7 @@ from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.offset_search import OffsetSearch
 from dronevio.estimator.calibration.online import OnlineCalibration
 from dronevio.estimator.calibration.rotation_offset import RotationOffset
-from dronevio.estimator.calibration.unverified import unverified_covariance
+from dronevio.estimator.calibration.uncertainty import calibration_covariance
 from dronevio.estimator.monitoring.causes import Cause
 from dronevio.estimator.types import Calibration, FramePacket
 from dronevio.models.arrays import Array
@@ -125,18 +125,18 @@ class Calibrator:
         return Correction(smoother, keeps_window, (f"calibration corrected: {online.applied}", *causes))
 
     def with_uncertainty(self, state: NavState, displacement_m: Array, rate_rad_s: Array) -> NavState:
-        """Return a state with the uncertainty of a calibration that has not been verified.
+        """Return a state with the uncertainty of the calibration in use; see `OnlineCalibration.uncertainty`.
 
         Args:
             state: The state.
             displacement_m: (3,) Displacement since the initialization [m].
             rate_rad_s: (3,) Angular velocity of the IMU, bias removed [rad/s].
         """
-        if self._online.is_verified or state.covariance is None:
+        if state.covariance is None:
             return state
-        sigmas = self._online.newest_sigmas
+        sigmas = self._online.uncertainty
         rotation_sigma = float(sigmas.rotation_rad[0].max())
-        added = unverified_covariance(state, displacement_m, rate_rad_s, sigmas.time_offset_s, rotation_sigma)
+        added = calibration_covariance(state, displacement_m, rate_rad_s, sigmas.time_offset_s, rotation_sigma)
         return replace(state, covariance=state.covariance + added)
 
     def _begin(self, offset_s: float) -> None:

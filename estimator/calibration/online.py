@@ -146,9 +146,14 @@ class OnlineCalibration:
         return self._estimate.is_verified
 
     @property
-    def newest_sigmas(self) -> Corrections:
-        """The standard deviations by the last adjustment, also of a part of a window, or by the prior."""
-        return Corrections.from_vector(np.sqrt(np.diag(self._estimate.newest_covariance)))
+    def uncertainty(self) -> Corrections:
+        """The standard deviations of the error of the calibration in use, whose corrections may lack a part.
+
+        They are those of the last adjustment, also of a part of a window, or of the prior; what has been estimated and
+        is too small to be applied, is an error, too.
+        """
+        e = self._estimate
+        return Corrections.from_vector(np.sqrt(np.diag(e.newest_covariance) + (e.mean - e.applied) ** 2))
 
     @property
     def applied(self) -> Corrections:

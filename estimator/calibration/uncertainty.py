@@ -13,7 +13,7 @@ from dronevio.models.rotation import skew
 from dronevio.models.state import NavState
 
 
-def unverified_covariance(
+def calibration_covariance(
     state: NavState, displacement_m: Array, rate_rad_s: Array, time_offset_sigma_s: float, rotation_sigma_rad: float
 ) -> Array:
     """Return the covariance (15, 15) that errors of the calibration add to a state, in the order of `NavState`.

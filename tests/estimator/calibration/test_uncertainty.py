@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from dronevio.estimator.calibration.unverified import unverified_covariance
+from dronevio.estimator.calibration.uncertainty import calibration_covariance
 from dronevio.estimator.config import VioConfig
 from dronevio.models.arrays import Array
 from dronevio.models.state import Estimate, NavState
@@ -22,7 +22,7 @@ AT_ORIGIN = NavState(0, np.eye(4), VELOCITY_M_S, np.zeros(3), np.zeros(3))
 
 def test_a_time_offset_acts_along_the_motion() -> None:
     """5 ms at 2 m/s are 10 mm, and at 0.4 rad/s 2 mrad, both of the same cause."""
-    P = unverified_covariance(AT_ORIGIN, np.zeros(3), np.array([0.0, 0.0, 0.4]), 0.005, 0.0)
+    P = calibration_covariance(AT_ORIGIN, np.zeros(3), np.array([0.0, 0.0, 0.4]), 0.005, 0.0)
     expected = np.zeros(15)
     expected[2], expected[3] = 0.002, 0.01
     np.testing.assert_allclose(P, np.outer(expected, expected), atol=1e-15)
@@ -30,7 +30,7 @@ def test_a_time_offset_acts_along_the_motion() -> None:
 
 def test_a_rotation_acts_across_the_displacement() -> None:
     """0.01 rad over 3 m to the north are 30 mm up and sideways, at 2 m/s to the east 20 mm/s up and sideways."""
-    P = unverified_covariance(AT_ORIGIN, np.array([0.0, 3.0, 0.0]), np.zeros(3), 0.0, 0.01)
+    P = calibration_covariance(AT_ORIGIN, np.array([0.0, 3.0, 0.0]), np.zeros(3), 0.0, 0.01)
     np.testing.assert_allclose(np.sqrt(np.diag(P)[3:9]), [0.03, 0.0, 0.03, 0.0, 0.02, 0.02], atol=1e-15)
     assert not P[:3].any() and not P[9:].any()
 
