@@ -30,8 +30,10 @@ class ParameterEstimate:
     """(D,) Estimated corrections, whether they are applied or not."""
     covariance: Array
     """(D, D) Covariance of the estimated corrections."""
+    newest_mean: Array
+    """(D,) Those by the last adjustment, also of a part of a window, or by the prior."""
     newest_covariance: Array
-    """(D, D) That by the last adjustment, also of a part of a window, or by the prior."""
+    """(D, D) Their covariance."""
     applied: Array
     """(D,) Corrections that are applied to the given calibration."""
     newest_change: Array
@@ -45,11 +47,19 @@ class ParameterEstimate:
     updated_ns: int | None = None
     """Time of the last complete window; None before the first [ns]."""
 
+    @property
+    def errors(self) -> Array:
+        """(D,) Standard deviations of the error of the calibration in use.
+
+        They contain what has been estimated and is not applied, because it is too small or not significant.
+        """
+        return np.asarray(np.sqrt(np.diag(self.newest_covariance) + (self.newest_mean - self.applied) ** 2))
+
     @classmethod
     def prior(cls, parameters: ParameterTable) -> "ParameterEstimate":
         """Return the estimate before any window."""
         zeros, covariance = np.zeros_like(parameters.sigmas), np.diag(parameters.sigmas**2)
-        return cls(zeros, covariance, covariance, zeros, zeros, np.zeros(len(zeros), dtype=np.bool_))
+        return cls(zeros, covariance, zeros, covariance, zeros, zeros, np.zeros(len(zeros), dtype=np.bool_))
 
     def predicted(self, t_ns: int, walk: Array) -> "ParameterEstimate":
         """Return the estimate at the time of a window [ns], with the random walk (D,) since the one before."""
@@ -68,8 +78,9 @@ class ParameterEstimate:
             is_complete: Whether the adjustment is that of a complete window.
         """
         if not is_complete:
-            return replace(self, newest_covariance=covariance)
-        return replace(self, mean=mean, covariance=covariance, newest_covariance=covariance, is_verified=True)
+            return replace(self, newest_mean=mean, newest_covariance=covariance)
+        newest = replace(self, newest_mean=mean, newest_covariance=covariance)
+        return replace(newest, mean=mean, covariance=covariance, is_verified=True)
 
     def corrected(
         self, mean: Array, covariance: Array, parameters: ParameterTable, test: SignificanceTest
@@ -90,7 +101,8 @@ class ParameterEstimate:
             return None
         applied, change = np.where(follows, mean, self.applied), np.where(follows, difference, 0.0)
         is_plausible = self.is_plausible and bool((np.abs(applied) <= parameters.limits).all())
-        return replace(self, applied=applied, newest_change=change, follows=follows, is_plausible=is_plausible)
+        known = replace(self, newest_mean=mean, applied=applied, newest_change=change)
+        return replace(known, follows=follows, is_plausible=is_plausible)
 
 
 def inflation_share(change: Array) -> float:

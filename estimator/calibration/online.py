@@ -147,13 +147,8 @@ class OnlineCalibration:
 
     @property
     def uncertainty(self) -> Corrections:
-        """The standard deviations of the error of the calibration in use, whose corrections may lack a part.
-
-        They are those of the last adjustment, also of a part of a window, or of the prior; what has been estimated and
-        is too small to be applied, is an error, too.
-        """
-        e = self._estimate
-        return Corrections.from_vector(np.sqrt(np.diag(e.newest_covariance) + (e.mean - e.applied) ** 2))
+        """The standard deviations of the error of the calibration in use."""
+        return Corrections.from_vector(self._estimate.errors)
 
     @property
     def applied(self) -> Corrections:

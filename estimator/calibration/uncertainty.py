@@ -1,9 +1,9 @@
-"""The uncertainty of a state due to a calibration that no window of the online calibration has verified yet.
+"""The uncertainty of a state due to that of the calibration.
 
 The smoother takes the calibration as known. An error of the time offset moves each pose along the motion, and an error
 of the camera's rotation turns the displacement since the initialization. Both are added to the covariance of a
-published state until the first window in motion has been adjusted, of which the result is taken as known. If the window
-begins at rest, its parts reduce them before.
+published state: by the prior before the first window of the online calibration, and then by what the windows leave
+uncertain, and what they have found and is too small to be applied. If a window begins at rest, its parts count.
 """
 
 import numpy as np

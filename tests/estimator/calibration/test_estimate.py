@@ -55,6 +55,21 @@ def test_the_result_of_a_part_of_a_window_is_not_kept() -> None:
     np.testing.assert_array_equal(window.covariance, window.newest_covariance)
 
 
+def test_what_is_not_applied_is_an_error_of_the_calibration() -> None:
+    """3 mrad that are too small to be applied, beside 4 mrad that are not known; the error of what is applied is not."""
+    covariance = PRIOR.covariance.copy()
+    covariance[2, 2] = 0.004**2
+    for is_complete in (False, True):
+        kept = PRIOR.fused(corrections(x_rad=0.003), covariance, is_complete=is_complete)
+        assert kept.corrected(kept.newest_mean, covariance, PARAMETERS, TEST) is None
+        assert kept.errors[2] == pytest.approx(0.005)
+        np.testing.assert_allclose(kept.errors[3:], PARAMETERS.sigmas[3:])
+        applied = kept.fused(corrections(x_rad=0.03), covariance, is_complete=is_complete)
+        applied = applied.corrected(applied.newest_mean, covariance, PARAMETERS, TEST) or applied
+        assert applied.applied[2] == 0.03
+        assert applied.errors[2] == pytest.approx(0.004)
+
+
 def test_a_corrected_parameter_follows_the_estimate() -> None:
     """Also by less than the smallest correction, where another parameter is corrected."""
     first = PRIOR.corrected(corrections(time_offset_s=0.004, x_rad=0.002), CERTAIN, PARAMETERS, TEST)

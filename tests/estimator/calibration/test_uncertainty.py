@@ -1,4 +1,4 @@
-"""The uncertainty of states before the calibration has been verified."""
+"""The uncertainty of states due to a calibration that is known to some extent."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -44,19 +44,19 @@ def position_sigmas(estimates: list[Estimate]) -> Array:
 
 
 @pytest.mark.parametrize(("rest_s", "growth"), [(1.5, 1.5), (-5.0, 4.0)])
-def test_the_first_window_verifies_the_calibration(
+def test_windows_reduce_the_uncertainty_of_the_calibration(
     make_flight: MakeFlight, known_calibration: VioConfig, rest_s: float, growth: float
 ) -> None:
-    """Positions are as uncertain as the calibration before the first window is adjusted; poses are the same.
+    """Positions are as uncertain as the calibration; poses do not depend on that.
 
-    After a rest, parts of the window reduce the uncertainty.
+    After a rest, parts of the first window reduce the uncertainty, which never vanishes.
     """
     flight = make_flight(0, rest_s=rest_s, duration_s=9.0)
     online, known = flight.run(), flight.run(config=known_calibration)
     assert not any("calibration corrected" in event for e in online for event in e.events)
     ratio = position_sigmas(online) / position_sigmas(known)
     assert growth < ratio.max() < 3.0 * growth
-    np.testing.assert_allclose(ratio[-20:], 1.0, atol=1e-9)
+    assert 1.0 < ratio[-20:].min() <= ratio[-20:].max() < 0.8 * ratio.max()
     for a, b in zip(online, known, strict=True):
         assert (a.state is None) == (b.state is None)
         if a.state is not None and b.state is not None:
