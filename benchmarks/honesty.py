@@ -3,7 +3,7 @@
 Every recording is estimated with each number of cameras, under conditions that its calibration does not state
 (`sensor_conditions.py`), and from several starts. A row has the mean NEES of position and velocity (3 expected), the
 largest error while the health is "tracking" in standard deviations along the least certain axis, the frames beyond 5 of
-these, and the share of the poses that are not "tracking" although their error is below 3 of them, in total and by cause.
+these, and the share of the poses that are not "tracking" although their error is below 3, in total and by cause.
 Position and yaw of each first pose are taken from the ground truth.
 
 The truth of real flights, those without a `scenario.json`, has errors of its own: one inclination, yaw rate and time
@@ -22,7 +22,7 @@ import sys
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -192,7 +192,8 @@ class Scores:
     def keeps_bounds(self) -> bool:
         """Whether the figures are within the bounds of a flight."""
         nees = [float(x.mean()) for x in (self.position_nees, self.velocity_nees) if len(x)]
-        return max(nees, default=0.0) <= NEES_FLIGHT and not self.wrong and self.untracked_percent <= MAX_UNTRACKED_PERCENT
+        is_tracking_right = not self.wrong and self.untracked_percent <= MAX_UNTRACKED_PERCENT
+        return is_tracking_right and max(nees, default=0.0) <= NEES_FLIGHT
 
     def cells(self) -> dict[str, str]:
         """Return the cells of a row."""

@@ -1,4 +1,4 @@
-"""Runs of the odometry that are kept in files: health, causes and poses with their covariances, without measurements."""
+"""Runs of the odometry that are kept in files: health, causes and poses with covariances, without measurements."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -71,7 +71,7 @@ class KeptRun:
         """Read from a file."""
         with np.load(file) as parts:
             names = ("pose_t_ns", "p", "quat", "velocity", "gyro_bias", "accel_bias", "covariance")
-            poses = [parts[name] if name in parts else None for name in names]
+            poses = [parts.get(name) for name in names]
             trajectory = Trajectory(*poses)
             warnings = tuple(map(str, parts["warnings"]))
             return cls(parts["t_ns"], parts["health"], parts["cause"], parts["nis"], trajectory, warnings)

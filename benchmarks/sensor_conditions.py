@@ -30,9 +30,7 @@ WARMING_S, WARMING = 30.0, (0.005, 0.1)
 """Time constant of a warming IMU [s], and the change of the biases of each axis [rad/s, m/s²]."""
 
 
-def _added(
-    recording: ChangedRecording, of: Callable[[ImuSamples, ImuModel], tuple[Array, Array]]
-) -> ChangedRecording:
+def _added(recording: ChangedRecording, of: Callable[[ImuSamples, ImuModel], tuple[Array, Array]]) -> ChangedRecording:
     """Return a recording with errors (N, 3) added to gyroscope and accelerometer."""
     samples = recording.imu
     gyro, accel = of(samples, recording.rig.imu)

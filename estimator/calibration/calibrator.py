@@ -1,4 +1,4 @@
-"""The calibration of the odometry: corrected online, replaced where the clocks differ, and as uncertain as it is known."""
+"""The calibration of the odometry: corrected online, replaced where clocks differ, as uncertain as it is known."""
 
 from dataclasses import dataclass, replace
 

@@ -42,8 +42,6 @@ class ParameterEstimate:
     """(D,) Whether a parameter has been corrected, and follows the estimate."""
     is_plausible: bool = True
     """Whether all corrections so far have been plausible."""
-    is_verified: bool = False
-    """Whether a complete window has been adjusted, or a part of one has corrected the calibration."""
     updated_ns: int | None = None
     """Time of the last complete window; None before the first [ns]."""
 
@@ -80,7 +78,7 @@ class ParameterEstimate:
         if not is_complete:
             return replace(self, newest_mean=mean, newest_covariance=covariance)
         newest = replace(self, newest_mean=mean, newest_covariance=covariance)
-        return replace(newest, mean=mean, covariance=covariance, is_verified=True)
+        return replace(newest, mean=mean, covariance=covariance)
 
     def corrected(
         self, mean: Array, covariance: Array, parameters: ParameterTable, test: SignificanceTest

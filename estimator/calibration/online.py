@@ -141,11 +141,6 @@ class OnlineCalibration:
         return Corrections.from_vector(np.sqrt(np.diag(self._estimate.covariance)))
 
     @property
-    def is_verified(self) -> bool:
-        """Whether a window in motion has been adjusted, or has corrected the calibration."""
-        return self._estimate.is_verified
-
-    @property
     def uncertainty(self) -> Corrections:
         """The standard deviations of the error of the calibration in use."""
         return Corrections.from_vector(self._estimate.errors)
@@ -288,7 +283,7 @@ class OnlineCalibration:
         test = SignificanceTest.of_window(c, cameras, begins_stationary=window.begins_stationary)
         if not self._apply(mean, covariance, test):
             return False
-        self._estimate, self._corrected_state = replace(self._estimate, is_verified=True), None
+        self._corrected_state = None
         # After a large correction, the newest state by the adjustment, propagated over the keyframes since
         first, share = window.keyframes[0].state.covariance, inflation_share(self._estimate.newest_change)
         if window.begins_stationary and first is not None and share > KEPT_INFLATION:

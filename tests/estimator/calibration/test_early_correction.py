@@ -288,7 +288,7 @@ def test_images_have_more_weight_in_a_window_from_rest(make_flight: MakeFlight, 
         config = CalibrationConfig(window_s=2.0, adjustment=adjustment)
         flight = make_flight(0, rest_s=REST_S if begins_stationary else -5.0, duration_s=REST_S + 3.6)
         _, calibration, corrected = corrected_flight(flight, flight.rig, 0.0, config)
-        assert corrected is None and calibration.is_verified
+        assert corrected is None and calibration.sigmas.time_offset_s < 0.01  # a window is complete
         return calibration.sigmas.time_offset_s
 
     assert (sigma_s(0.2) < 0.9 * sigma_s(0.8)) == begins_stationary
