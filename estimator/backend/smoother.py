@@ -22,9 +22,9 @@ import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 
 from dronevio.estimator.backend.config import SmootherConfig
+from dronevio.estimator.backend.jolts import optimized
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate, keyframe_estimate
 from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkDatabase, TriangulatedLandmarks
-from dronevio.estimator.backend.linear_system import WindowEstimate
 from dronevio.estimator.backend.marginal_prior import STATE_DIM, KeyframeState
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.imu.covariance import covariance_from_gtsam, covariance_to_gtsam
@@ -44,14 +44,6 @@ ZUPT_VELOCITY_SIGMA_M_S = 0.01
 """Standard deviation of the velocity in a zero-velocity update [m/s]."""
 ZUPT_POSE_SIGMA = 0.003
 """Standard deviation of the relative pose in a zero-velocity update [rad] and [m]."""
-JOLT_RATIO = 5.0
-"""Ratio of the variance of the image observations to that of the last keyframe beyond which the IMU is doubted."""
-LEAST_VARIANCE = 0.03
-"""Smallest variance of these, relative to the assumed one, that counts as typical; that of rendered images is 0.02."""
-JOLT_WEIGHT = 1e-3
-"""Weight of the IMU since the last keyframe after a jolt; with a standard deviation 30 times as large, images decide."""
-JOLT_GAIN = 2.0
-"""Ratio by which the variance must decrease without the IMU."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,8 +169,7 @@ class KeyframeSmoother:
         rejected = window.landmarks.triangulate(window.cameras, window.newest)
         predicted = window.states[window.newest]
         try:
-            start = window.estimate
-            solver = self._with_images_after_jolt(self._gauss_newton(), start)
+            solver = optimized(window, self._gauss_newton, self._image_variance)
             self._solution = self._read_solution(solver)
             marginalizes = self._is_full and self._has_moved(parallax_px)
             imu_variance = window.oldest_imu_variance(solver) if marginalizes else None
@@ -381,37 +372,6 @@ class KeyframeSmoother:
         step = gauss_newton(window.objective, window.estimate, CholeskyFactor, iterations, lambda s: s.decrement < last)
         window.estimate = step.x
         return step.factor
-
-    def _with_images_after_jolt(self, solver: CholeskyFactor, start: WindowEstimate) -> CholeskyFactor:
-        """Distrust the IMU since the last keyframe if it suddenly contradicts the images, and these agree without it.
-
-        The IMU has not felt what moves all images at once: a step of the mount or of the truth, or lost samples. With
-        one camera, the window would otherwise explain that by another scale.
-
-        Args:
-            solver: The factor of the last linear system.
-            start: The estimates before the optimization with the IMU.
-
-        Returns:
-            The same, of the window as it is left.
-        """
-        window, typical, found = self._window, self._image_variance, self._newest_image_variance()
-        if typical is None or found is None or found <= JOLT_RATIO * max(typical, LEAST_VARIANCE):
-            return solver
-        estimate = window.estimate
-        window.reweight_newest(JOLT_WEIGHT)
-        window.estimate = start
-        loosened, without = self._gauss_newton(), self._newest_image_variance()
-        if without is not None and without < found / JOLT_GAIN:
-            return loosened
-        window.reweight_newest(1.0)
-        window.estimate = estimate
-        return solver
-
-    def _newest_image_variance(self) -> float | None:
-        """Return the variance of the window's image observations at the current estimates; None if unknown."""
-        residual, _, observed = self._window.residuals()
-        return self._window.image_variance(residual, observed)
 
     def _levenberg_marquardt(self) -> CholeskyFactor:
         """Optimize the window by Levenberg-Marquardt and return the factor of the linear system at the minimum."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from dronevio.estimator.backend import smoother
+from dronevio.estimator.backend import jolts
 from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.models.arrays import Array
 from dronevio.models.state import NavState
@@ -37,7 +37,7 @@ def test_the_velocity_is_right_again_one_keyframe_after_a_step(
 ) -> None:
     """Without distrust of the IMU, its error is several times as large then."""
     distrusted = velocity_errors(make_flight, keyframe_feed, STEP_M)
-    monkeypatch.setattr(smoother, "JOLT_RATIO", np.inf)
+    monkeypatch.setattr(jolts, "JOLT_RATIO", np.inf)
     trusted = velocity_errors(make_flight, keyframe_feed, STEP_M)
     first = int(STEP_S / 0.2)  # after the step
     np.testing.assert_array_equal(distrusted[:first], trusted[:first])
@@ -48,5 +48,5 @@ def test_without_a_step_nothing_is_distrusted(
     make_flight: MakeFlight, keyframe_feed: "type[KeyframeFeed]", monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with_test = velocity_errors(make_flight, keyframe_feed, np.zeros(3))
-    monkeypatch.setattr(smoother, "JOLT_RATIO", np.inf)
+    monkeypatch.setattr(jolts, "JOLT_RATIO", np.inf)
     np.testing.assert_array_equal(with_test, velocity_errors(make_flight, keyframe_feed, np.zeros(3)))
