@@ -18,7 +18,7 @@ JOLT_RATIO = 5.0
 LEAST_VARIANCE = 0.03
 """Smallest variance of these, relative to the assumed one, that counts as typical; that of rendered images is 0.02."""
 JOLT_WEIGHT = 1e-3
-"""Weight of the IMU since the last keyframe after a jolt: its standard deviations are 30 times as large, images decide."""
+"""Weight of the IMU since the last keyframe after a jolt; its standard deviations are 30 times as large."""
 JOLT_GAIN = 2.0
 """Ratio by which the variance must decrease without the IMU; otherwise a contradiction has another cause."""
 
