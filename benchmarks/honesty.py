@@ -36,7 +36,7 @@ from truth_errors import TruthErrors, fitted
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.consistency import consistency, errors_and_sigmas_m
 from dronevio.eval.provenance import machine_here, versions_here
-from dronevio.models.arrays import Array
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import is_recording_folder, open_recording
 from dronevio.models.state import Health, Trajectory
@@ -131,7 +131,7 @@ class Scores:
     """NEES of the velocities; empty where the truth has none."""
     sigmas: Array
     """Errors in standard deviations; 0 where they do not count."""
-    tracking: Array
+    tracking: Mask
     """Whether the health is "tracking", with the shape of `sigmas`."""
     causes: tuple[str, ...]
     """Causes of the health, as many."""
@@ -263,7 +263,8 @@ def rows_of(path: Path, command: HonestyCommand) -> Iterator[tuple[tuple[str, st
 
 def table_of(found: Iterable[tuple[str, tuple[str, str], Scores]]) -> tuple[list[Row], Scores]:
     """Return the rows of all recordings, and the figures of all together."""
-    rows, parts = [], []
+    rows: list[Row] = []
+    parts: list[Scores] = []
     for name, (condition, cameras), scores in found:
         rows.append({"flight": name, "condition": condition, "cameras": cameras, **scores.cells()})
         parts.append(scores)

@@ -119,7 +119,7 @@ def half_size(recording: ChangedRecording, _: np.random.Generator) -> ChangedRec
     def half(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         h, w = image.shape[0] // 2, image.shape[1] // 2
         fours = image[: 2 * h, : 2 * w].reshape(h, 2, w, 2)
-        return np.rint(fours.mean(axis=(1, 3))).astype(np.uint8)
+        return np.asarray(np.rint(fours.mean(axis=(1, 3))), np.uint8)
 
     def smaller(camera: RigCamera) -> RigCamera:
         m = camera.model

@@ -29,7 +29,7 @@ def velocity_errors(make_flight: MakeFlight, keyframe_feed: "type[KeyframeFeed]"
     feed = keyframe_feed(flight, start, InitialSigmas(velocity_m_s=0.3).covariance(true.T_world_imu[:3, :3])).finish()
     found = np.stack([state.velocity_m_s for state in feed.states])
     assert feed.truth.velocity_m_s is not None
-    return np.linalg.norm(found - feed.truth.velocity_m_s, axis=1)
+    return np.asarray(np.linalg.norm(found - feed.truth.velocity_m_s, axis=1))
 
 
 def test_the_velocity_is_right_again_one_keyframe_after_a_step(
