@@ -171,7 +171,7 @@ class Scores:
             joined([p.position_nees for p in parts]),
             joined([p.velocity_nees for p in parts]),
             joined([p.sigmas for p in parts]),
-            joined([p.tracking for p in parts]).astype(bool),
+            np.array([each for p in parts for each in p.tracking], np.bool_),
             tuple(cause for p in parts for cause in p.causes),
             sum(p.runs for p in parts),
             tuple(s for p in parts for s in p.starts_s),
