@@ -91,7 +91,14 @@ class OdometryParts:
     def propagator(self, smoother: KeyframeSmoother, monitor: HealthMonitor, observations: Observations) -> Propagator:
         """Return the propagation from the newest keyframe, with which a monitor compares the next frames."""
         noise, landmarks = self.noise, smoother.triangulated_landmarks
-        monitor.set_reference(smoother.state, landmarks, smoother.image_variance, noise.densities, noise.measured)
+        monitor.set_reference(
+            smoother.state,
+            landmarks,
+            smoother.image_variance,
+            noise.densities,
+            noise.measured,
+            self.calibrator.rotation_sigma_rad,
+        )
         return Propagator(noise.params, self.rig.imu, self.keyframe_policy, smoother, observations)
 
     def with_calibration_sigmas(self, state: NavState, origin_m: Array) -> NavState:

@@ -65,6 +65,11 @@ class Calibrator:
         """The time offset of camera and IMU in use, t_imu = t_cam + offset [s]."""
         return self.calibration.rig.time_offset_s + self.calibration.time_offset_correction_s
 
+    @property
+    def rotation_sigma_rad(self) -> float:
+        """Standard deviation of the rotation of the first camera by the calibration in use, about any axis [rad]."""
+        return float(self._online.uncertainty.rotation_rad[0].max())
+
     def add_frame(self, packet: FramePacket) -> None:
         """Add the next frame, from which another time offset may be found."""
         self._offset_search.add(packet)
@@ -134,9 +139,8 @@ class Calibrator:
         """
         if state.covariance is None:
             return state
-        sigmas = self._online.uncertainty
-        rotation_sigma = float(sigmas.rotation_rad[0].max())
-        added = calibration_covariance(state, displacement_m, rate_rad_s, sigmas.time_offset_s, rotation_sigma)
+        offset_s, rotation_rad = self._online.uncertainty.time_offset_s, self.rotation_sigma_rad
+        added = calibration_covariance(state, displacement_m, rate_rad_s, offset_s, rotation_rad)
         return replace(state, covariance=state.covariance + added)
 
     def _begin(self, offset_s: float) -> None:

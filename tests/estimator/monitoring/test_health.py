@@ -127,6 +127,28 @@ def test_innovation_of_consistent_noise_is_one() -> None:
     assert max(nis) < 3.0
 
 
+def test_innovation_contains_the_uncertainty_of_the_calibration() -> None:
+    """The true camera is turned in the vehicle, which turns and moves; landmarks are where the camera has seen them."""
+    rng, sigma_rad = np.random.default_rng(4), 0.02
+    triangulated = landmarks(120, rng)
+    change = pose_matrix(exp_so3(np.array([0.02, -0.1, 0.3])), np.array([0.2, -0.3, 0.1]))
+    predicted = state_after(4, T_world_imu=START.T_world_imu @ change)
+    nis: dict[float, list[float]] = {0.0: [], sigma_rad: []}
+    for _ in range(40):
+        # What the turned camera does is what the given one would do after the motion as it is seen from there
+        turn = RIG.cameras[0].T_imu_cam @ pose_matrix(exp_so3(sigma_rad * rng.normal(size=3)), np.zeros(3))
+        turn = turn @ inverse_pose(RIG.cameras[0].T_imu_cam)
+        true = replace(predicted, T_world_imu=START.T_world_imu @ inverse_pose(turn) @ change @ turn)
+        observations = observe(triangulated, true, np.zeros(120, np.int64), SIGMA_PX * rng.normal(size=(120, 2)))
+        for known_rad, values in nis.items():
+            monitor = monitor_of(triangulated)
+            monitor.set_reference(START, triangulated, None, DENSITIES, camera_sigma_rad=known_rad)
+            values.append(assess(monitor, observations, predicted).innovation_nis or 0.0)
+    assert np.mean(nis[0.0]) > 10.0
+    # The error is common to all landmarks: their median is a square of two degrees of freedom, whose mean is 2
+    assert np.mean(nis[sigma_rad]) == pytest.approx(2.0 / MEDIAN_CHI2_2DOF, rel=0.2)
+
+
 def test_tracks_without_parallax_do_not_constrain() -> None:
     triangulated, observations = landmarks_and_observations(CONFIG.min_landmarks - 1)
     others = Observations(
