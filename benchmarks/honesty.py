@@ -7,8 +7,8 @@ these, and the share of the poses that are not "tracking" although their error i
 Position and yaw of each first pose are taken from the ground truth.
 
 The truth of real flights, those without a `scenario.json`, has errors of its own: one inclination, yaw rate and time
-offset of the truth for a whole flight are fitted to its runs from the beginning, printed, and removed. Errors below
-what the truth of a flight resolves (`RESOLVED_M`) do not count.
+offset of the truth for a whole flight are fitted to its runs from the beginning, printed, and removed. What a truth
+resolves (`RESOLVED_M`) is subtracted from the length of an error, and smaller errors do not count.
 
 Runs are kept in a folder, and not repeated while they are there::
 
@@ -151,12 +151,14 @@ class Scores:
             empty = np.zeros(0)
             return cls(empty, empty, empty, empty.astype(bool), (), lost=1)
         found = consistency(true, estimate)
-        counts = np.linalg.norm(found.position_error_m, axis=1) >= resolved_m
+        length_m = np.linalg.norm(found.position_error_m, axis=1)
+        counts = length_m >= resolved_m
+        share = np.maximum(1.0 - resolved_m / np.maximum(length_m, 1e-9), 0.0)  # of an error that the truth shows
         error_m, sigma_m = errors_and_sigmas_m(true, estimate)
         return cls(
-            found.position_nees[counts],
+            (share**2 * found.position_nees)[counts],
             np.zeros(0) if found.velocity_nees is None else found.velocity_nees,
-            np.where(error_m >= resolved_m, error_m / sigma_m, 0.0),
+            np.maximum(error_m - resolved_m, 0.0) / sigma_m,
             run.health[frames] == Health.TRACKING,
             tuple(run.cause[frames].tolist()),
             1,

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from faulty_imus import Fault, of_imu, with_values
 from measuring import ChangedRecording
+from scipy.signal import lfilter
 
 from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuModel, ImuSamples
@@ -64,9 +65,7 @@ def coloured(recording: ChangedRecording, rng: np.random.Generator) -> ChangedRe
 
     def errors(samples: ImuSamples, imu: ImuModel) -> tuple[Array, Array]:
         kept = math.exp(-1.0 / (imu.rate_hz * COLOUR_S))
-        steps, states = rng.normal(size=(len(samples), 6)), np.zeros((len(samples), 6))
-        for k in range(1, len(samples)):
-            states[k] = kept * states[k - 1] + math.sqrt(1.0 - kept**2) * steps[k]
+        states = lfilter([math.sqrt(1.0 - kept**2)], [1.0, -kept], rng.normal(size=(len(samples), 6)), axis=0)
         sigmas = COLOUR_FACTOR * np.array([imu.gyro_noise_density, imu.accel_noise_density]) / math.sqrt(2.0 * COLOUR_S)
         return sigmas[0] * states[:, :3], sigmas[1] * states[:, 3:]
 

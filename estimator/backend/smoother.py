@@ -270,7 +270,7 @@ class KeyframeSmoother:
         if corrected is not None and corrected.covariance is not None:
             state, covariance = corrected, corrected.covariance
         is_same_time = calibration.time_offset_correction_s == self._calibration.time_offset_correction_s
-        is_same_lens = calibration.focal_correction is self._calibration.focal_correction
+        is_same_lens = calibration.intrinsics is self._calibration.intrinsics
         observations = self._last_observed[1] if is_same_time and is_same_lens else NO_FEATURES
         return KeyframeSmoother(calibration, self._config, self._landmark_config, state, covariance, observations)
 

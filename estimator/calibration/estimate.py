@@ -17,7 +17,8 @@ from dronevio.estimator.calibration.significance import SignificanceTest
 from dronevio.models.arrays import Array
 
 INFLATION_CORRECTION = (5e-3, np.radians(1.0))
-"""Corrections of time offset [s] and rotation [rad] to which `CalibrationConfig.inflation_sigmas` correspond."""
+"""Corrections of time offset [s], and of rotation [rad] and intrinsics, which turn directions as much, to which
+`CalibrationConfig.inflation_sigmas` correspond."""
 MIN_INFLATION = 0.03
 """Smallest share of these that is applied, however small a correction is."""
 
@@ -45,13 +46,13 @@ class ParameterEstimate:
     updated_ns: int | None = None
     """Time of the last complete window; None before the first [ns]."""
 
-    @property
-    def errors(self) -> Array:
-        """(D,) Standard deviations of the error of the calibration in use.
+    def errors(self, A: Array) -> Array:
+        """Return standard deviations (n,) of linear combinations (n, D) of the errors of the calibration in use.
 
         They contain what has been estimated and is not applied, because it is too small or not significant.
         """
-        return np.asarray(np.sqrt(np.diag(self.newest_covariance) + (self.newest_mean - self.applied) ** 2))
+        variances = np.einsum("ni,ij,nj->n", A, self.newest_covariance, A)
+        return np.asarray(np.sqrt(variances + (A @ (self.newest_mean - self.applied)) ** 2))
 
     @classmethod
     def prior(cls, parameters: ParameterTable) -> "ParameterEstimate":
@@ -106,9 +107,10 @@ class ParameterEstimate:
 def inflation_share(change: Array) -> float:
     """Return the share of the covariance inflation that a change (D,) of the applied corrections requires."""
     c = Corrections.from_vector(change)
-    if c.translation_m.any() or c.focal.any() or c.principal.any():
+    if c.translation_m.any():
         return 1.0
-    sizes = abs(c.time_offset_s), float(np.linalg.norm(c.rotation_rad))
+    of_images = np.concatenate([c.rotation_rad, c.focal, c.principal, c.radial], axis=1)
+    sizes = abs(c.time_offset_s), float(np.linalg.norm(of_images))
     return float(np.clip(max(np.divide(sizes, INFLATION_CORRECTION)), MIN_INFLATION, 1.0))
 
 

@@ -38,7 +38,7 @@ class Adjustments:
 
     def of(self, keyframes: tuple[WindowKeyframe, ...], *arguments: object, **_: object) -> "Problem":
         """Return an adjustment in place of its objective; see `CalibrationObjective.of`."""
-        information = arguments[4]
+        information = arguments[3]
         assert isinstance(information, np.ndarray)
         self.windows.append(keyframes)
         self.information.append(information)

@@ -13,7 +13,7 @@ from dronevio.estimator.backend.reprojection import MEDIAN_CHI2_2DOF
 from dronevio.estimator.monitoring.config import HealthConfig
 from dronevio.estimator.monitoring.health import health_report
 from dronevio.estimator.monitoring.monitor import IMAGE_VARIANCES, HealthMonitor
-from dronevio.estimator.types import NO_FEATURES, Calibration, Observations
+from dronevio.estimator.types import NO_FEATURES, Calibration, CalibrationSigmas, Observations
 from dronevio.models.arrays import Array
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
@@ -142,7 +142,9 @@ def test_innovation_contains_the_uncertainty_of_the_calibration() -> None:
         observations = observe(triangulated, true, np.zeros(120, np.int64), SIGMA_PX * rng.normal(size=(120, 2)))
         for known_rad, values in nis.items():
             monitor = monitor_of(triangulated)
-            monitor.set_reference(START, triangulated, None, DENSITIES, camera_sigma_rad=known_rad)
+            monitor.set_reference(
+                START, triangulated, None, DENSITIES, calibration=CalibrationSigmas(rotation_rad=known_rad)
+            )
             values.append(assess(monitor, observations, predicted).innovation_nis or 0.0)
     assert np.mean(nis[0.0]) > 10.0
     # The error is common to all landmarks: their median is a square of two degrees of freedom, whose mean is 2
