@@ -11,7 +11,7 @@ from dronevio.estimator.intrinsics import IntrinsicCorrections, lens_jacobian, l
 from dronevio.models.rig_presets import rig_named
 
 CAMERA = np.repeat([0, 1], 50)
-XY = np.random.default_rng(0).uniform(-0.9, 0.9, (100, 2))
+XY = np.stack(np.meshgrid(np.linspace(-0.9, 0.9, 10), np.linspace(-0.7, 0.8, 10)), axis=-1).reshape(-1, 2)
 ONE, ZERO = np.zeros(1, np.int64), np.zeros(1, np.bool_)
 
 
