@@ -171,7 +171,8 @@ def late_notice_s(run: EstimatorRun, truth: Trajectory) -> float | None:
 def row_of(name: str, run: EstimatorRun, truth: Trajectory) -> dict[str, str]:
     """Return the row of a fault: frames by health, whether it was noticed in time, and whether its cause is stated."""
     causes, warnings, wrong_s = FAULTS[name][1], [text for _, text in run.warnings], late_notice_s(run, truth)
-    stated = [text for text in warnings if not text.startswith("lost: ") and Cause.MOTION_DISAGREES not in text]
+    symptoms = ("lost: ", "inconsistent: ")
+    stated = [text for text in warnings if not text.startswith(symptoms) and Cause.MOTION_DISAGREES not in text]
     is_right = all(any(cause in text for cause in causes) for text in stated)
     return {
         "fault": name,

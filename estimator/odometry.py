@@ -209,7 +209,7 @@ class VisualInertialOdometry:
                 parts.observer.marginalized(result.marginalized)
             parts.observer.added(odometry_keyframe(smoother, keyframe, parts.calibration, is_connected, frame))
         # Online calibration
-        published = parts.with_calibration_sigmas(smoother.state, tracking.origin_m)
+        published, given = parts.with_calibration_sigmas(smoother.state, tracking.origin), parts.calibrator.sigmas
         correction = parts.calibrator.add_keyframe(
             smoother,
             keyframe,
@@ -222,6 +222,8 @@ class VisualInertialOdometry:
             if parts.observer is not None and not correction.has_kept_window:
                 for estimate in smoother.keyframe_estimates():
                     parts.observer.marginalized(estimate)
+            if not correction.has_corrected_state:
+                tracking = replace(tracking, origin=tracking.origin.corrected(smoother.state, given))
             smoother, events = correction.smoother, (*events, *correction.events)
             monitor.correct(published, smoother.state)
             parts.set_gravity()

@@ -6,6 +6,7 @@ from typing import Self
 from dronevio.estimator.backend.keyframes import KeyframePolicy
 from dronevio.estimator.backend.smoother import KeyframeSmoother
 from dronevio.estimator.calibration.calibrator import Calibrator
+from dronevio.estimator.calibration.uncertainty import Origin
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frame_queue import FrameQueue
 from dronevio.estimator.frontend.protocol import FrontEnd
@@ -20,7 +21,6 @@ from dronevio.estimator.output import Publisher
 from dronevio.estimator.pipeline import MeasurementPipeline
 from dronevio.estimator.propagator import Propagator
 from dronevio.estimator.types import Calibration, Observations
-from dronevio.models.arrays import Array
 from dronevio.models.rig import Rig
 from dronevio.models.state import NavState
 
@@ -91,18 +91,24 @@ class OdometryParts:
     def propagator(self, smoother: KeyframeSmoother, monitor: HealthMonitor, observations: Observations) -> Propagator:
         """Return the propagation from the newest keyframe, with which a monitor compares the next frames."""
         noise, landmarks = self.noise, smoother.triangulated_landmarks
-        monitor.set_reference(smoother.state, landmarks, smoother.image_variance, noise.densities, noise.measured)
+        monitor.set_reference(
+            smoother.state,
+            landmarks,
+            smoother.image_variance,
+            noise.densities,
+            noise.measured,
+            self.calibrator.sigmas,
+        )
         return Propagator(noise.params, self.rig.imu, self.keyframe_policy, smoother, observations)
 
-    def with_calibration_sigmas(self, state: NavState, origin_m: Array) -> NavState:
+    def with_calibration_sigmas(self, state: NavState, origin: Origin) -> NavState:
         """Return a state at the newest frame with the uncertainty of the calibration.
 
         Args:
             state: The state.
-            origin_m: (3,) Position at the initialization [m].
+            origin: Where its displacement begins.
         """
-        displacement_m, rate = state.T_world_imu[:3, 3] - origin_m, self.pipeline.angular_velocity_rad_s
-        return self.calibrator.with_uncertainty(state, displacement_m, rate)
+        return self.calibrator.with_uncertainty(state, origin, self.pipeline.angular_velocity_rad_s)
 
     def set_gravity(self) -> None:
         """Propagate with the magnitude of gravity in use."""

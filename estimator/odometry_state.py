@@ -7,13 +7,13 @@ the initializer) change in place.
 from dataclasses import dataclass, replace
 
 from dronevio.estimator.backend.smoother import KeyframeSmoother
+from dronevio.estimator.calibration.uncertainty import Origin
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.initialization.gauge import BiasPrior, Gauge
 from dronevio.estimator.initialization.initializer import Initializer
 from dronevio.estimator.monitoring.monitor import HealthMonitor
 from dronevio.estimator.monitoring.plausibility import MotionLimits
 from dronevio.estimator.propagator import Propagator, velocity_may_be_zero
-from dronevio.models.arrays import Array
 from dronevio.models.state import Estimate, Health
 
 NO_ESTIMATE = Estimate(0, Health.INITIALIZING, None)
@@ -52,8 +52,8 @@ class Tracking:
     """Assesses the estimate."""
     propagator: Propagator
     """Predicts the state since the newest keyframe."""
-    origin_m: Array
-    """(3,) Position at the initialization [m]."""
+    origin: Origin
+    """Where the displacement begins by the calibration in use."""
     limits: MotionLimits | None = None
     """Limits of the next published state; None before the first."""
     restart: Initializer | None = None

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from dronevio.estimator.calibration.rotation_offset import RotationOffset
+from dronevio.estimator.calibration.uncertainty import Origin
 from dronevio.estimator.initialization.gauge import LastPublished
 from dronevio.estimator.initialization.not_observable import NotObservable
 from dronevio.estimator.monitoring.causes import Cause, Reason
@@ -44,7 +45,8 @@ def initialize(parts: OdometryParts, state: OdometryState, phase: Initializing, 
     if not rest_s:
         monitor.begin_in_motion(smoother.state)
     propagator = parts.propagator(smoother, monitor, packet.observations)
-    tracking = Tracking(smoother, monitor, propagator, smoother.state.T_world_imu[:3, 3], track=phase.track)
+    origin = Origin(smoother.state.T_world_imu[:3, 3])
+    tracking = Tracking(smoother, monitor, propagator, origin, track=phase.track)
     assessment = monitor.assess(packet.observations, smoother.state, rest_s > 0.0, parts.calibration)
     return publish(parts, state, tracking, packet, smoother.state, assessment)
 
@@ -89,7 +91,7 @@ def publish(
         return replace(state, phase=tracking, estimate=estimate)
 
     # Limits and gauge of the next states
-    published = parts.with_calibration_sigmas(estimated, tracking.origin_m)
+    published = parts.with_calibration_sigmas(estimated, tracking.origin)
     agrees = (assessment.innovation_px or 0.0) <= parts.config.health.max_innovation_px
     return OdometryState(
         replace(tracking, limits=MotionLimits(estimated)),

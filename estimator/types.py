@@ -6,8 +6,10 @@ from functools import cached_property
 import numpy as np
 
 from dronevio.estimator.imu.buffer import Increments
-from dronevio.models.arrays import Array, Integers
+from dronevio.estimator.intrinsics import IntrinsicCorrections
+from dronevio.models.arrays import Array, Integers, Mask
 from dronevio.models.rig import Rig
+from dronevio.models.rotation import skew
 
 GAUGE_SIGMA = 1e-4
 """Standard deviation of the gauge, yaw [rad] and position [m], at initialization. The gauge is known by definition;
@@ -115,10 +117,8 @@ class Calibration:
     """The rig with the corrected extrinsics of its cameras. Lenses and time offset are those that were given."""
     time_offset_correction_s: float = 0.0
     """Correction of the cameras' time offset [s], to be added to that of the rig."""
-    focal_correction: Array | None = None
-    """(C, 2) Relative corrections of fx and fy of each camera; none by default."""
-    principal_correction: Array | None = None
-    """(C, 2) Corrections of the principal points, in units of fx and fy; none by default."""
+    intrinsics: IntrinsicCorrections | None = None
+    """Corrections of the intrinsics; none by default."""
     gravity_correction_m_s2: float = 0.0
     """Correction of the magnitude of gravity [m/s²], to be added to the given one."""
 
@@ -132,6 +132,11 @@ class Calibration:
     def Ts_imu_cam(self) -> Array:
         """(C, 4, 4) Poses of the cameras in the IMU frame."""
         return np.stack([camera.T_imu_cam for camera in self.rig.cameras])
+
+    @cached_property
+    def is_fisheye(self) -> Mask:
+        """(C,) Whether the lens of a camera is a fisheye."""
+        return np.array([camera.model.lens != "radtan" for camera in self.rig.cameras])
 
     @cached_property
     def focal_px(self) -> Array:
@@ -150,25 +155,45 @@ class Calibration:
 
     def corrected_xy(self, xy: Array, camera: Integers) -> Array:
         """Return normalized coordinates (N, 2) by the corrected intrinsics, from those by the given intrinsics."""
-        if self.focal_correction is None or self.principal_correction is None:
-            return xy
-        return np.asarray((xy - self.principal_correction[camera]) / (1.0 + self.focal_correction[camera]))
+        return xy if self.intrinsics is None else self.intrinsics.corrected_xy(xy, camera)
 
     def given_xy(self, xy: Array, camera: Integers) -> Array:
         """Return normalized coordinates (N, 2) by the given intrinsics, the inverse of `corrected_xy`."""
-        if self.focal_correction is None or self.principal_correction is None:
-            return xy
-        return np.asarray((1.0 + self.focal_correction[camera]) * xy + self.principal_correction[camera])
+        return xy if self.intrinsics is None else self.intrinsics.given_xy(xy, camera)
 
     def normalized(self, observations: Observations) -> Observations:
         """Return observations with normalized coordinates by the corrected intrinsics."""
-        if self.focal_correction is None:
+        if self.intrinsics is None:
             return observations
         matches, miscalibrated = (
             replace(m, xy=self.corrected_xy(m.xy, m.camera)) for m in (observations.matches, observations.miscalibrated)
         )
         xy = self.corrected_xy(observations.xy, observations.camera)
         return replace(observations, xy=xy, matches=matches, miscalibrated=miscalibrated)
+
+
+@dataclass(frozen=True)
+class CalibrationSigmas:
+    """Standard deviations of the calibration in use."""
+
+    time_offset_s: float = 0.0
+    """Time offset [s]."""
+    rotation_rad: float = 0.0
+    """Rotation of the camera about each axis [rad]."""
+    focal: float = 0.0
+    """Focal length, relative."""
+
+    def jacobian(self, x: Array) -> Array:
+        """Return the changes (3, 4) of a displacement or velocity (3,) by rotation and focal length.
+
+        Each is that of one standard deviation: a rotation turns what the camera measures, and a focal length scales it.
+        """
+        return np.column_stack([self.rotation_rad * skew(x), self.focal * x])
+
+    def of_displacement(self, x: Array) -> Array:
+        """Return the covariance (3, 3) of a displacement or velocity (3,) by rotation and focal length."""
+        J = self.jacobian(x)
+        return np.asarray(J @ J.T)
 
 
 def common_rows(ids: Integers, others: Integers) -> tuple[Integers, Integers]:

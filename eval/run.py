@@ -20,7 +20,8 @@ from dronevio.models.state import Estimate, FeatureTracks, Health, NavState, Tra
 POSE_IS_VALID = frozenset({Health.TRACKING, Health.INERTIAL_ONLY})
 """Health states in which the pose of an estimate is valid."""
 _WARNING = re.compile(
-    r"lost: |probable cause: |time offset of camera and IMU|the image does not change|camera \d+ contradicts"
+    r"lost: |inconsistent: |probable cause: |time offset of camera and IMU|the image does not change"
+    r"|camera \d+ contradicts"
 )
 """Beginning of the events that tell of wrong measurements or a wrong calibration."""
 _OUTLIERS = re.compile(r"(\d+) outlying samples of the IMU")

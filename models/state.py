@@ -91,7 +91,8 @@ class Health(StrEnum):
     TRACKING = "tracking"
     """Landmarks and IMU constrain the estimate."""
     INERTIAL_ONLY = "inertial-only"
-    """Too few landmarks are visible, and the IMU alone is integrated."""
+    """Images do not support the estimate: too few landmarks are visible, and the IMU alone is integrated; or images and
+    IMU contradict each other, or the calibration. `HealthReport.cause` tells which."""
     LOST = "lost"
     """The estimate has failed and is not valid."""
 

@@ -23,6 +23,8 @@ class KeyframeFactor(NamedTuple):
     """GTSAM's factor of poses X(k), velocities V(k) and biases B(k)."""
     columns: Integers
     """(m,) Columns of its variables, in the order of its keys, among those of the states of its keyframes."""
+    weight: float = 1.0
+    """Factor on its information."""
 
     @classmethod
     def of(cls, factor: gtsam.NoiseModelFactor) -> Self:

@@ -136,9 +136,10 @@ def _add_factors(H: Array, b: Array, factors: Sequence[KeyframeFactor], states: 
     values_first = replaced_values(values, current, first)
     for keyframe_factor in factors:
         factor, block = keyframe_factor.factor, keyframe_factor.block(index)
-        r = factor.whitenedError(values)
+        root_weight = np.sqrt(keyframe_factor.weight)
+        r = root_weight * factor.whitenedError(values)
         J = np.zeros((len(r), block.stop - block.start))
-        J[:, keyframe_factor.columns] = factor.linearize(values_first).jacobian()[0]
+        J[:, keyframe_factor.columns] = root_weight * factor.linearize(values_first).jacobian()[0]
         excess = max(float(r @ r) - len(r), 0.0)  # the expectation of rᵀr is the dimension of r
         weight = 1.0 / float(cauchy_inflation(excess, IMU_ROBUST_SIGMAS**2))
         H[block, block] += weight * (J.T @ J)

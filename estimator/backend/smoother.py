@@ -22,6 +22,7 @@ import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 
 from dronevio.estimator.backend.config import SmootherConfig
+from dronevio.estimator.backend.jolts import optimized
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate, keyframe_estimate
 from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkDatabase, TriangulatedLandmarks
 from dronevio.estimator.backend.marginal_prior import STATE_DIM, KeyframeState
@@ -168,7 +169,7 @@ class KeyframeSmoother:
         rejected = window.landmarks.triangulate(window.cameras, window.newest)
         predicted = window.states[window.newest]
         try:
-            solver = self._gauss_newton()
+            solver = optimized(window, self._gauss_newton, self._image_variance)
             self._solution = self._read_solution(solver)
             marginalizes = self._is_full and self._has_moved(parallax_px)
             imu_variance = window.oldest_imu_variance(solver) if marginalizes else None
@@ -269,7 +270,7 @@ class KeyframeSmoother:
         if corrected is not None and corrected.covariance is not None:
             state, covariance = corrected, corrected.covariance
         is_same_time = calibration.time_offset_correction_s == self._calibration.time_offset_correction_s
-        is_same_lens = calibration.focal_correction is self._calibration.focal_correction
+        is_same_lens = calibration.intrinsics is self._calibration.intrinsics
         observations = self._last_observed[1] if is_same_time and is_same_lens else NO_FEATURES
         return KeyframeSmoother(calibration, self._config, self._landmark_config, state, covariance, observations)
 

@@ -119,6 +119,12 @@ class Window:
         self.states[self.newest + 1] = state
         self._factors += map(KeyframeFactor.of, factors)
 
+    def reweight_newest(self, weight: float) -> None:
+        """Multiply the information of the factors of the newest keyframe by a weight."""
+        self._factors = [
+            each._replace(weight=weight) if self.newest in each.keyframes else each for each in self._factors
+        ]
+
     @property
     def objective(self) -> WindowObjective:
         """All information on the variables of the window."""
@@ -165,7 +171,7 @@ class Window:
         index = {k: i for i, k in enumerate(self.states)}
         for each in factors:
             factor = each.factor
-            if isinstance(factor, gtsam.CombinedImuFactor):
+            if isinstance(factor, gtsam.CombinedImuFactor) and each.weight == 1.0:
                 values = state_values({k: self.states[k] for k in each.keyframes})
                 whitened_J = factor.linearize(values).jacobian()[0]
                 J = solve_triangular(whitening_matrix(factor), whitened_J)[:9]  # without the random walk of the biases

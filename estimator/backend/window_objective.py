@@ -74,7 +74,9 @@ class WindowObjective:
         squared = self.squared(self.residuals(x)[0])
         losses = cauchy_loss(squared, scales.threshold2) * self._sigma2 / scales.variance
         values = state_values(x.states)
-        of_factors = sum(factor_loss(2.0 * each.factor.error(values), each.factor.dim()) for each in self.factors)
+        of_factors = sum(
+            factor_loss(2.0 * each.weight * each.factor.error(values), each.factor.dim()) for each in self.factors
+        )
         return self.prior.cost(x.states, self.persistent_points(x)) + 0.5 * (of_factors + float(losses.sum()))
 
     def residuals(self, x: WindowEstimate) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""The calibration of the odometry: corrected online, replaced where the clocks differ, and uncertain until verified."""
+"""The calibration of the odometry: corrected online, replaced where clocks differ, as uncertain as it is known."""
 
 from dataclasses import dataclass, replace
 
@@ -7,9 +7,9 @@ from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.offset_search import OffsetSearch
 from dronevio.estimator.calibration.online import OnlineCalibration
 from dronevio.estimator.calibration.rotation_offset import RotationOffset
-from dronevio.estimator.calibration.unverified import unverified_covariance
+from dronevio.estimator.calibration.uncertainty import Origin, calibration_covariance
 from dronevio.estimator.monitoring.causes import Cause
-from dronevio.estimator.types import Calibration, FramePacket
+from dronevio.estimator.types import Calibration, CalibrationSigmas, FramePacket
 from dronevio.models.arrays import Array
 from dronevio.models.rig import Rig
 from dronevio.models.state import NavState
@@ -26,6 +26,8 @@ class Correction:
     """The smoother with the corrected calibration."""
     has_kept_window: bool
     """Whether it has kept its window; otherwise it begins at the newest state."""
+    has_corrected_state: bool
+    """Whether it begins at a state by the corrected calibration; others contain the errors of the previous one."""
     events: tuple[str, ...]
     """What has been corrected, and the cause where that is not plausible, as texts for people."""
 
@@ -64,6 +66,11 @@ class Calibrator:
     def time_offset_s(self) -> float:
         """The time offset of camera and IMU in use, t_imu = t_cam + offset [s]."""
         return self.calibration.rig.time_offset_s + self.calibration.time_offset_correction_s
+
+    @property
+    def sigmas(self) -> CalibrationSigmas:
+        """Standard deviations of the calibration in use."""
+        return self._online.uncertainty
 
     def add_frame(self, packet: FramePacket) -> None:
         """Add the next frame, from which another time offset may be found."""
@@ -122,21 +129,20 @@ class Calibrator:
         self._offset_search = OffsetSearch()
         has_failed = was_plausible and not self.is_plausible
         causes = (f"probable cause: {Cause.IMPLAUSIBLE_CALIBRATION}",) if has_failed else ()
-        return Correction(smoother, keeps_window, (f"calibration corrected: {online.applied}", *causes))
+        events = (f"calibration corrected: {online.applied}", *causes)
+        return Correction(smoother, keeps_window, corrected is not None, events)
 
-    def with_uncertainty(self, state: NavState, displacement_m: Array, rate_rad_s: Array) -> NavState:
-        """Return a state with the uncertainty of a calibration that has not been verified.
+    def with_uncertainty(self, state: NavState, origin: Origin, rate_rad_s: Array) -> NavState:
+        """Return a state with the uncertainty of the calibration in use; see `OnlineCalibration.uncertainty`.
 
         Args:
             state: The state.
-            displacement_m: (3,) Displacement since the initialization [m].
+            origin: Where its displacement begins.
             rate_rad_s: (3,) Angular velocity of the IMU, bias removed [rad/s].
         """
-        if self._online.is_verified or state.covariance is None:
+        if state.covariance is None:
             return state
-        sigmas = self._online.newest_sigmas
-        rotation_sigma = float(sigmas.rotation_rad[0].max())
-        added = unverified_covariance(state, displacement_m, rate_rad_s, sigmas.time_offset_s, rotation_sigma)
+        added = calibration_covariance(state, origin, rate_rad_s, self.sigmas)
         return replace(state, covariance=state.covariance + added)
 
     def _begin(self, offset_s: float) -> None:

@@ -42,10 +42,12 @@ class CalibrationConfig(Settings):
     """Rotation of each camera, about each axis [rad]. The smallest correction is a quarter of a degree."""
     translation: CalibratedPart = CalibratedPart(False, sigma=0.02, min_correction=0.005, walk=1e-6)
     """Translation of each camera in the IMU frame [m]."""
-    focal: CalibratedPart = CalibratedPart(False, sigma=0.01, min_correction=0.003, walk=1e-6)
-    """Focal lengths of each camera, relative."""
-    principal: CalibratedPart = CalibratedPart(False, sigma=0.01, min_correction=0.003, walk=1e-6)
+    focal: CalibratedPart = CalibratedPart(True, sigma=0.02, min_correction=0.005, walk=1e-6, refinement=0.1)
+    """Focal length of each camera, relative."""
+    principal: CalibratedPart = CalibratedPart(True, sigma=0.01, min_correction=0.005, walk=1e-6, refinement=0.1)
     """Principal point of each camera, in units of the focal lengths."""
+    radial: CalibratedPart = CalibratedPart(True, sigma=0.01, min_correction=0.005, walk=1e-6, refinement=0.1)
+    """First radial coefficient of the distortion of each camera."""
     min_motion_correction: Annotated[float, Range(low=0.0)] = 0.01
     """Smallest first correction of the rotations by windows that begin in motion [rad], as the root mean square over
     the cameras. Smaller rotations have systematic causes there, which many windows share."""

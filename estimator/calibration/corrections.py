@@ -4,8 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dronevio.estimator.intrinsics import IntrinsicCorrections
 from dronevio.estimator.types import Calibration
-from dronevio.models.arrays import Array
+from dronevio.models.arrays import Array, Mask
 from dronevio.models.rotation import exp_so3, pose_matrix
 
 COMMON_PARAMETERS = 2
@@ -13,7 +14,7 @@ COMMON_PARAMETERS = 2
 GRAVITY = 1
 """Index of the correction of gravity in the vector of all parameters."""
 PARAMETERS_PER_CAMERA = 10
-"""Number of parameters of a camera: rotation (3), translation (3), focal lengths (2), principal point (2)."""
+"""Number of parameters of a camera: rotation (3), translation (3), focal length, principal point (2), distortion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,24 +33,35 @@ class Corrections:
     translation_m: Array
     """(C, 3) Corrections of the camera positions in the IMU frame [m]."""
     focal: Array
-    """(C, 2) Relative corrections of fx and fy, applied as fx (1 + focal)."""
+    """(C, 1) Relative corrections of the focal lengths; see `IntrinsicCorrections`."""
     principal: Array
     """(C, 2) Corrections of the principal points in units of fx and fy."""
+    radial: Array
+    """(C, 1) Corrections of the first radial coefficient of the distortion; see `IntrinsicCorrections`."""
 
     @classmethod
     def from_vector(cls, x: Array) -> "Corrections":
         """Return the corrections of a vector (2 + 10 C,) of parameters."""
         rows = x[COMMON_PARAMETERS:].reshape(-1, PARAMETERS_PER_CAMERA)
-        return cls(float(x[0]), float(x[GRAVITY]), rows[:, 0:3], rows[:, 3:6], rows[:, 6:8], rows[:, 8:10])
+        of_camera = np.split(rows, [3, 6, 7, 9], axis=1)
+        return cls(float(x[0]), float(x[GRAVITY]), *of_camera)
+
+    def intrinsics(self, is_fisheye: Mask) -> IntrinsicCorrections:
+        """Return the corrections of the intrinsics of cameras (C,) of which some are fisheyes."""
+        return IntrinsicCorrections(self.focal[:, 0], self.principal, self.radial[:, 0], is_fisheye)
 
     def applied_to(self, given: Calibration) -> Calibration:
         """Return a given calibration with the corrections applied."""
         Ts = given.Ts_imu_cam @ pose_matrix(exp_so3(self.rotation_rad), np.zeros_like(self.translation_m))
         Ts[:, :3, 3] += self.translation_m
         cameras = (replace(camera, T_imu_cam=T) for camera, T in zip(given.rig.cameras, Ts, strict=True))
-        rig, has_intrinsics = replace(given.rig, cameras=tuple(cameras)), self.focal.any() or self.principal.any()
-        focal, principal = (self.focal, self.principal) if has_intrinsics else (None, None)
-        return Calibration(rig, self.time_offset_s, focal, principal, self.gravity_m_s2)
+        has_intrinsics = any(part.any() for part in (self.focal, self.principal, self.radial))
+        return Calibration(
+            replace(given.rig, cameras=tuple(cameras)),
+            self.time_offset_s,
+            self.intrinsics(given.is_fisheye) if has_intrinsics else None,
+            self.gravity_m_s2,
+        )
 
     def __str__(self) -> str:
         """Return the corrections that are not zero as text, or "none"."""
@@ -59,8 +71,9 @@ class Corrections:
             quantities = (
                 ("rotation", np.degrees(self.rotation_rad[i]), 2, "°"),
                 ("translation", 1e3 * self.translation_m[i], 0, " mm"),
-                ("focal lengths", 1e2 * self.focal[i], 2, " %"),
+                ("focal length", 1e2 * self.focal[i], 2, " %"),
                 ("principal point", 1e3 * self.principal[i], 1, " mrad"),
+                ("radial distortion", self.radial[i], 4, ""),
             )
             parts += [
                 f"camera {i} {name} {' '.join(f'{number:+.{digits}f}' for number in values.tolist())}{unit}"
@@ -68,3 +81,18 @@ class Corrections:
                 if values.any()
             ]
         return ", ".join(parts) or "none"
+
+
+def seen_errors(size: int) -> Array:
+    """Return what the first camera shows of errors of a vector of parameters, a matrix (6, size).
+
+    Time offset, rotation of the view about each axis, focal length, and radial distortion. A principal point that is
+    wrong by c turns the view as a rotation by (c_y, -c_x, 0) does.
+    """
+    A = np.zeros((6, size))
+    first = COMMON_PARAMETERS
+    A[0, 0] = 1.0
+    A[1:4, first : first + 3] = np.eye(3)
+    A[1, first + 8], A[2, first + 7] = 1.0, -1.0
+    A[4, first + 6] = A[5, first + 9] = 1.0
+    return A

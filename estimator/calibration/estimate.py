@@ -17,7 +17,8 @@ from dronevio.estimator.calibration.significance import SignificanceTest
 from dronevio.models.arrays import Array
 
 INFLATION_CORRECTION = (5e-3, np.radians(1.0))
-"""Corrections of time offset [s] and rotation [rad] to which `CalibrationConfig.inflation_sigmas` correspond."""
+"""Corrections of time offset [s], and of rotation [rad] and intrinsics, which turn directions as much, to which
+`CalibrationConfig.inflation_sigmas` correspond."""
 MIN_INFLATION = 0.03
 """Smallest share of these that is applied, however small a correction is."""
 
@@ -30,8 +31,10 @@ class ParameterEstimate:
     """(D,) Estimated corrections, whether they are applied or not."""
     covariance: Array
     """(D, D) Covariance of the estimated corrections."""
+    newest_mean: Array
+    """(D,) Those by the last adjustment, also of a part of a window, or by the prior."""
     newest_covariance: Array
-    """(D, D) That by the last adjustment, also of a part of a window, or by the prior."""
+    """(D, D) Their covariance."""
     applied: Array
     """(D,) Corrections that are applied to the given calibration."""
     newest_change: Array
@@ -40,16 +43,22 @@ class ParameterEstimate:
     """(D,) Whether a parameter has been corrected, and follows the estimate."""
     is_plausible: bool = True
     """Whether all corrections so far have been plausible."""
-    is_verified: bool = False
-    """Whether a complete window has been adjusted, or a part of one has corrected the calibration."""
     updated_ns: int | None = None
     """Time of the last complete window; None before the first [ns]."""
+
+    def errors(self, A: Array) -> Array:
+        """Return standard deviations (n,) of linear combinations (n, D) of the errors of the calibration in use.
+
+        They contain what has been estimated and is not applied, because it is too small or not significant.
+        """
+        variances = np.einsum("ni,ij,nj->n", A, self.newest_covariance, A)
+        return np.asarray(np.sqrt(variances + (A @ (self.newest_mean - self.applied)) ** 2))
 
     @classmethod
     def prior(cls, parameters: ParameterTable) -> "ParameterEstimate":
         """Return the estimate before any window."""
         zeros, covariance = np.zeros_like(parameters.sigmas), np.diag(parameters.sigmas**2)
-        return cls(zeros, covariance, covariance, zeros, zeros, np.zeros(len(zeros), dtype=np.bool_))
+        return cls(zeros, covariance, zeros, covariance, zeros, zeros, np.zeros(len(zeros), dtype=np.bool_))
 
     def predicted(self, t_ns: int, walk: Array) -> "ParameterEstimate":
         """Return the estimate at the time of a window [ns], with the random walk (D,) since the one before."""
@@ -68,8 +77,9 @@ class ParameterEstimate:
             is_complete: Whether the adjustment is that of a complete window.
         """
         if not is_complete:
-            return replace(self, newest_covariance=covariance)
-        return replace(self, mean=mean, covariance=covariance, newest_covariance=covariance, is_verified=True)
+            return replace(self, newest_mean=mean, newest_covariance=covariance)
+        newest = replace(self, newest_mean=mean, newest_covariance=covariance)
+        return replace(newest, mean=mean, covariance=covariance)
 
     def corrected(
         self, mean: Array, covariance: Array, parameters: ParameterTable, test: SignificanceTest
@@ -90,15 +100,17 @@ class ParameterEstimate:
             return None
         applied, change = np.where(follows, mean, self.applied), np.where(follows, difference, 0.0)
         is_plausible = self.is_plausible and bool((np.abs(applied) <= parameters.limits).all())
-        return replace(self, applied=applied, newest_change=change, follows=follows, is_plausible=is_plausible)
+        known = replace(self, newest_mean=mean, applied=applied, newest_change=change)
+        return replace(known, follows=follows, is_plausible=is_plausible)
 
 
 def inflation_share(change: Array) -> float:
     """Return the share of the covariance inflation that a change (D,) of the applied corrections requires."""
     c = Corrections.from_vector(change)
-    if c.translation_m.any() or c.focal.any() or c.principal.any():
+    if c.translation_m.any():
         return 1.0
-    sizes = abs(c.time_offset_s), float(np.linalg.norm(c.rotation_rad))
+    of_images = np.concatenate([c.rotation_rad, c.focal, c.principal, c.radial], axis=1)
+    sizes = abs(c.time_offset_s), float(np.linalg.norm(of_images))
     return float(np.clip(max(np.divide(sizes, INFLATION_CORRECTION)), MIN_INFLATION, 1.0))
 
 

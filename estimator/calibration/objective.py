@@ -22,6 +22,7 @@ from dronevio.estimator.calibration.window import (
     window_state,
 )
 from dronevio.estimator.optimization.robust import cauchy_inflation, cauchy_loss
+from dronevio.estimator.types import Calibration
 from dronevio.models.arrays import Array, Integers
 from dronevio.models.rotation import exp_so3, log_so3
 from dronevio.models.state import NavState
@@ -124,14 +125,13 @@ class CalibrationObjective:
     focal_px: float
     """Focal length [px]."""
     sigma: float
-    """Standard deviation of an observation, in normalized coordinates."""
+    """Standard deviation of an observation, in the coordinates of `lens_xy`."""
 
     @classmethod
     def of(
         cls,
         keyframes: Sequence[WindowKeyframe],
-        Ts_imu_cam: Array,
-        focal_px: float,
+        given: Calibration,
         config: AdjustmentConfig,
         mean: Array,
         information: Array,
@@ -145,8 +145,7 @@ class CalibrationObjective:
 
         Args:
             keyframes: At least one keyframe, in the order of time.
-            Ts_imu_cam: (C, 4, 4) Poses of the cameras without corrections.
-            focal_px: Focal length [px].
+            given: The calibration without corrections.
             config: Settings.
             mean: (D,) Prior mean of the corrections, D = 2 + 10 C.
             information: (D, D) Prior information matrix of the corrections.
@@ -157,8 +156,8 @@ class CalibrationObjective:
             begins_stationary: Whether the vehicle is stationary at the first keyframe. Its state then does not depend
                 on the calibration, and its covariance is the prior of that state and of the biases.
         """
-        initial = mean if initial is None else initial
-        state = window_state(keyframes, Ts_imu_cam, Corrections.from_vector(initial))
+        initial, focal_px = mean if initial is None else initial, float(given.focal_px[0])
+        state = window_state(keyframes, given, Corrections.from_vector(initial))
         of_bias = keyframes[0 if begins_stationary else -1].state
         bias = np.concatenate([of_bias.gyro_bias_rad_s, of_bias.accel_bias_m_s2])
         measured = [(k.preintegrated, k.gravity_m_s2) for k in keyframes[1:] if k.preintegrated is not None]

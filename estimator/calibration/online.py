@@ -21,14 +21,14 @@ import numpy as np
 from dronevio.estimator.calibration.adjustment import CalibrationProblem
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrected_state import propagated_state
-from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
+from dronevio.estimator.calibration.corrections import GRAVITY, Corrections, seen_errors
 from dronevio.estimator.calibration.estimate import ParameterEstimate, covariance_inflation, inflation_share
 from dronevio.estimator.calibration.objective import CalibrationObjective
 from dronevio.estimator.calibration.parameters import ParameterTable
 from dronevio.estimator.calibration.significance import SignificanceTest
 from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
 from dronevio.estimator.calibration.window_collector import NO_KEYFRAMES, CalibrationWindow
-from dronevio.estimator.types import Calibration, Observations
+from dronevio.estimator.types import Calibration, CalibrationSigmas, Observations
 from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rig import Rig
@@ -44,6 +44,8 @@ MAX_RMS_PX = 2.0
 MIN_RELATIVE_CORRECTION = 0.0015
 """Smallest correction of the rotation between cameras by the matches of the first keyframe, over all rotation
 parameters together [rad]."""
+MEAN_RADIUS2 = 0.3
+"""Mean squared radius of image observations, by which a radial distortion acts as a focal length does."""
 MAX_RELATIVE_SIGMAS = 4.0
 """Prior standard deviations beyond which the matches of a keyframe have another cause than the cameras' rotation."""
 
@@ -69,14 +71,15 @@ class CalibrationPrior:
         A window that begins at rest does not estimate gravity, because the accelerometer bias of its prior is that for
         the gravity in use.
         """
-        g, at_rest, is_unknown = self.given, window.begins_stationary, self.parameters.is_unknown
+        at_rest, is_unknown = window.begins_stationary, self.parameters.is_unknown
         initial = np.where(estimate.follows, estimate.applied, estimate.mean)
         if at_rest:
             is_unknown[GRAVITY], initial[GRAVITY] = False, estimate.applied[GRAVITY]
             config = replace(config, pixel_sigma=config.stationary_pixel_sigma)
-        measured = window.keyframes, g.Ts_imu_cam, float(g.focal_px[0]), config
         prior = estimate.mean, _inverse(estimate.covariance), is_unknown, self.gravity_m_s2
-        objective = CalibrationObjective.of(*measured, *prior, initial=initial, begins_stationary=at_rest)
+        objective = CalibrationObjective.of(
+            window.keyframes, self.given, config, *prior, initial=initial, begins_stationary=at_rest
+        )
         return CalibrationProblem(objective, config, window.keyframes[-1].state.t_ns)
 
 
@@ -141,14 +144,10 @@ class OnlineCalibration:
         return Corrections.from_vector(np.sqrt(np.diag(self._estimate.covariance)))
 
     @property
-    def is_verified(self) -> bool:
-        """Whether a window in motion has been adjusted, or has corrected the calibration."""
-        return self._estimate.is_verified
-
-    @property
-    def newest_sigmas(self) -> Corrections:
-        """The standard deviations by the last adjustment, also of a part of a window, or by the prior."""
-        return Corrections.from_vector(np.sqrt(np.diag(self._estimate.newest_covariance)))
+    def uncertainty(self) -> CalibrationSigmas:
+        """The standard deviations of the error of the calibration in use, of the first camera."""
+        offset_s, *view_rad, focal, radial = self._estimate.errors(seen_errors(len(self._prior.parameters.sigmas)))
+        return CalibrationSigmas(float(offset_s), float(max(view_rad)), float(np.hypot(focal, MEAN_RADIUS2 * radial)))
 
     @property
     def applied(self) -> Corrections:
@@ -250,7 +249,7 @@ class OnlineCalibration:
             return False
         if np.abs(Corrections.from_vector(result.mean).rotation_rad).max() > MAX_RELATIVE_SIGMAS * c.rotation.sigma:
             return False
-        test = SignificanceTest(MIN_RELATIVE_CORRECTION, MIN_RELATIVE_CORRECTION)
+        test = SignificanceTest(MIN_RELATIVE_CORRECTION, MIN_RELATIVE_CORRECTION, corrects_intrinsics=False)
         return self._apply(result.mean, _inverse(result.information), test)
 
     def _adjusting(self, window: CalibrationWindow) -> Adjusting | None:
@@ -285,10 +284,11 @@ class OnlineCalibration:
         self._estimate = self._estimate.fused(mean, covariance, is_complete=window.is_complete)
         # Significance test of each group of parameters
         c, cameras = self._prior.config, len(self._prior.given.rig.cameras)
-        test = SignificanceTest.of_window(c, cameras, begins_stationary=window.begins_stationary)
+        begins, is_complete = window.begins_stationary, window.is_complete
+        test = SignificanceTest.of_window(c, cameras, begins_stationary=begins, is_complete=is_complete)
         if not self._apply(mean, covariance, test):
             return False
-        self._estimate, self._corrected_state = replace(self._estimate, is_verified=True), None
+        self._corrected_state = None
         # After a large correction, the newest state by the adjustment, propagated over the keyframes since
         first, share = window.keyframes[0].state.covariance, inflation_share(self._estimate.newest_change)
         if window.begins_stationary and first is not None and share > KEPT_INFLATION:

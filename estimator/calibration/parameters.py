@@ -23,6 +23,8 @@ class ParameterGroup:
     """Settings of these parameters."""
     is_rotation: bool = False
     """Whether they are the rotations of all cameras."""
+    is_intrinsic: bool = False
+    """Whether they are intrinsics of a camera."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +55,9 @@ class ParameterTable:
             ParameterGroup(of_camera[:, :3].ravel(), config.rotation, is_rotation=True),
         ]
         for rows in of_camera:
-            parts = (rows[3:6], config.translation), (rows[6:8], config.focal), (rows[8:], config.principal)
-            groups += [ParameterGroup(*part) for part in parts]
+            parts = config.translation, config.focal, config.principal, config.radial
+            position, *intrinsics = zip(np.split(rows[3:], [3, 4, 6]), parts, strict=True)
+            groups += [ParameterGroup(*position), *(ParameterGroup(*part, is_intrinsic=True) for part in intrinsics)]
         sigmas = np.full(COMMON_PARAMETERS + of_camera.size, FIXED_SIGMA)
         walk = np.zeros(len(sigmas))
         if cameras > 1:

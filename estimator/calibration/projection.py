@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
 from dronevio.estimator.calibration.corrections import COMMON_PARAMETERS, PARAMETERS_PER_CAMERA, Corrections
-from dronevio.models.arrays import Array, Integers
+from dronevio.estimator.intrinsics import lens_jacobian, lens_xy
+from dronevio.models.arrays import Array, Integers, Mask
 from dronevio.models.rotation import cross, exp_so3
 
 
@@ -58,6 +59,8 @@ class CalibrationState:
     """(K,) Corrections of the time offset that the observations of each keyframe already contain [s]."""
     Ts_imu_cam: Array
     """(C, 4, 4) Poses of the cameras without corrections."""
+    is_fisheye: Mask
+    """(C,) Whether the lens of a camera is a fisheye."""
     corrections: Corrections
     """Corrections of the calibration."""
 
@@ -67,7 +70,7 @@ class Projection:
     """Residuals of N observations and the Jacobians of their projections."""
 
     residual: Array
-    """(N, 2) Observed minus projected image coordinates."""
+    """(N, 2) Observed minus projected coordinates, in which a focal length is a scale; see `lens_xy`."""
     J_pose: Array
     """(N, 2, 6) Jacobian by (δθ, δp) of the keyframe, δθ in the IMU frame and δp in the world frame."""
     J_point: Array
@@ -90,8 +93,7 @@ def camera_poses(state: CalibrationState, observations: CalibrationObservations)
 
 def corrected_xy(state: CalibrationState, observations: CalibrationObservations) -> Array:
     """Return the normalized image coordinates (N, 2) by the corrected intrinsics."""
-    c, camera = state.corrections, observations.camera
-    return np.asarray((observations.xy - c.principal[camera]) / (1.0 + c.focal[camera]))
+    return state.corrections.intrinsics(state.is_fisheye).corrected_xy(observations.xy, observations.camera)
 
 
 def project(state: CalibrationState, observations: CalibrationObservations, points: Array) -> Projection:
@@ -106,13 +108,17 @@ def project(state: CalibrationState, observations: CalibrationObservations, poin
     R_cam_imu = np.swapaxes(state.Ts_imu_cam[:, :3, :3] @ exp_so3(c.rotation_rad), 1, 2)[camera]
     p_cam = np.einsum("nij,nj->ni", R_cam_imu, p_imu - (state.Ts_imu_cam[:, :3, 3] + c.translation_m)[camera])
     depth = np.maximum(p_cam[:, 2], MIN_DEPTH_M)
-    xy, focal = p_cam[:, :2] / depth[:, None], 1.0 + c.focal[camera]
-    residual = observations.xy - focal * xy - c.principal[camera]
+    xy, focal, radial = p_cam[:, :2] / depth[:, None], 1.0 + c.focal[camera], c.radial[camera]
+    is_fisheye = state.is_fisheye[camera]
+    lens = lens_xy(xy, is_fisheye)
+    r2 = (lens * lens).sum(axis=1, keepdims=True)
+    distorted = (1.0 + radial * r2) * lens
+    residual = lens_xy(observations.xy, is_fisheye) - focal * distorted - c.principal[camera]
 
-    J_cam = np.zeros((len(k), 2, 3))  # by p_cam
-    J_cam[:, 0, 0] = J_cam[:, 1, 1] = 1.0
-    J_cam[:, :, 2] = -xy
-    J_cam *= (focal / depth[:, None])[:, :, None]
+    J_lens = focal[:, :, None] * (2.0 * radial * lens)[:, :, None] * lens[:, None]  # by the lens coordinates
+    J_lens[:, [0, 1], [0, 1]] += focal * (1.0 + radial * r2)
+    J_xy = J_lens @ lens_jacobian(xy, is_fisheye)
+    J_cam = np.concatenate([J_xy, -(J_xy @ xy[..., None])], axis=2) / depth[:, None, None]  # by p_cam
     J_imu = J_cam @ R_cam_imu
     J_key = J_imu @ R_exposure_key
     J_point = J_key @ np.swapaxes(R_world_imu, 1, 2)
@@ -124,8 +130,9 @@ def project(state: CalibrationState, observations: CalibrationObservations, poin
     J_corrections[:, :, 0] = np.einsum("nij,nj->ni", J_imu, dp_imu_dt)
     J_camera = np.zeros((len(k), 2, PARAMETERS_PER_CAMERA))
     J_camera[:, :, 0:3], J_camera[:, :, 3:6] = cross(J_cam, p_cam[:, None]), -J_imu
-    J_camera[:, 0, 6], J_camera[:, 1, 7] = xy.T
-    J_camera[:, 0, 8] = J_camera[:, 1, 9] = 1.0
+    J_camera[:, :, 6] = distorted
+    J_camera[:, 0, 7] = J_camera[:, 1, 8] = 1.0
+    J_camera[:, :, 9] = focal * r2 * lens
     for index in range(len(state.Ts_imu_cam)):
         rows, first = np.flatnonzero(camera == index), COMMON_PARAMETERS + PARAMETERS_PER_CAMERA * index
         J_corrections[rows, :, first : first + PARAMETERS_PER_CAMERA] = J_camera[rows]

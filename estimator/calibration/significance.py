@@ -28,13 +28,18 @@ class SignificanceTest:
     by_component: bool = False
     """Whether each parameter is tested by itself, and not along the principal axes of the covariance. These are more
     sensitive, also to errors of the states of a window that begins in motion."""
+    corrects_intrinsics: bool = True
+    """Whether intrinsics are corrected. They need the views of a complete window: a part of one, and a single keyframe,
+    explain by them what other errors have made of a few views."""
 
     @classmethod
-    def of_window(cls, config: CalibrationConfig, cameras: int, *, begins_stationary: bool) -> "SignificanceTest":
+    def of_window(
+        cls, config: CalibrationConfig, cameras: int, *, begins_stationary: bool, is_complete: bool
+    ) -> "SignificanceTest":
         """Return the test of a window of keyframes; the smallest rotation is the root mean square over the cameras."""
         rotation_rad = config.rotation.min_correction * np.sqrt(cameras)
         if begins_stationary:
-            return cls(rotation_rad, rotation_rad, STATIONARY_SIGMAS)
+            return cls(rotation_rad, rotation_rad, STATIONARY_SIGMAS, corrects_intrinsics=is_complete)
         first_rad = max(config.rotation.min_correction, config.min_motion_correction) * np.sqrt(cameras)
         return cls(first_rad, rotation_rad, by_component=True)
 
@@ -48,6 +53,8 @@ class SignificanceTest:
             is_first: Whether the group has not been corrected before.
         """
         part, rows = group.config, group.rows
+        if group.is_intrinsic and not self.corrects_intrinsics:
+            return False
         smallest, sigmas = part.min_correction, part.significance
         if group.is_rotation:
             smallest = self.first_rotation_rad if is_first else self.rotation_rad

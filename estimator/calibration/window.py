@@ -15,6 +15,7 @@ from dronevio.estimator.calibration.projection import (
     camera_poses,
     corrected_xy,
 )
+from dronevio.estimator.types import Calibration
 from dronevio.models.arrays import Array, Integers
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.state import NavState
@@ -75,12 +76,12 @@ class AdjustmentConfig(Settings):
     independent."""
 
 
-def window_state(keyframes: Sequence[WindowKeyframe], Ts_imu_cam: Array, corrections: Corrections) -> CalibrationState:
+def window_state(keyframes: Sequence[WindowKeyframe], given: Calibration, corrections: Corrections) -> CalibrationState:
     """Return the state of a window at the estimates of its keyframes.
 
     Args:
         keyframes: The keyframes in the order of time.
-        Ts_imu_cam: (C, 4, 4) Poses of the cameras without corrections.
+        given: The calibration without corrections.
         corrections: Corrections of the calibration.
     """
     return CalibrationState(
@@ -89,7 +90,8 @@ def window_state(keyframes: Sequence[WindowKeyframe], Ts_imu_cam: Array, correct
         np.stack([keyframe.state.velocity_m_s for keyframe in keyframes]),
         np.stack([keyframe.rate_rad_s for keyframe in keyframes]),
         np.array([keyframe.time_offset_s for keyframe in keyframes]),
-        Ts_imu_cam,
+        given.Ts_imu_cam,
+        given.is_fisheye,
         corrections,
     )
 

@@ -291,13 +291,14 @@ class ImuNoiseEstimator:
         """
         self._floor.add(samples)
         floor = np.array(self._shown)
+        for sensor, limit in zip((self._gyro, self._accel), floor.tolist(), strict=True):
+            sensor.raise_limit(limit)
         if not np.any(has_risen := floor > FLOOR_STEP * self._highest_floor):
             return
         self._highest_floor = np.where(has_risen, floor, self._highest_floor)
         known = np.maximum(self.densities, np.sqrt([self._initial.gyro_variance, self._initial.accel_variance]))
         raised = np.where(NOISE_SHARE * floor > GROSS_RATIO * known, NOISE_SHARE * floor, 0.0)
-        for sensor, density, limit in zip((self._gyro, self._accel), raised.tolist(), floor.tolist(), strict=True):
-            sensor.raise_limit(limit)
+        for sensor, density in zip((self._gyro, self._accel), raised.tolist(), strict=True):
             sensor.raise_to(density)
         self._params = self._params.with_noise(*self.densities)
 
@@ -318,6 +319,18 @@ class ImuNoiseEstimator:
         )
         noise = self._params.with_noise(*self.densities)
         self._params = noise.with_walks_of(self._initial, gyro_ratio, accel_ratio)
+
+    def begin_in_motion(self) -> None:
+        """Raise the noise to what the spectrum suggests, because the first state depends on it.
+
+        With one camera it determines how certain the scale is, and images show the noise of an interval only after it.
+        At rest, the vibration of the flight is absent, and the first state does not depend on it.
+        """
+        if self._is_compared:
+            return
+        for sensor, density in zip((self._gyro, self._accel), self._shown, strict=True):
+            sensor.raise_to(NOISE_SHARE * density)
+        self._params = self._params.with_noise(*self.densities)
 
     def raise_initial(self, components: Sequence[ImuVarianceComponents]) -> bool:
         """Raise the noise if the first intervals show more, but to no more than the samples themselves show.

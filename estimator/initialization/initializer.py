@@ -226,6 +226,7 @@ class Initializer:
             return start
         if start.clocks is not None and not self._is_window_full:
             return start.clocks
+        noise.begin_in_motion()
         agreeing = [replace(packet, observations=packet.observations.without(start.outliers)) for packet in window]
         for _ in range(NOISE_ROUNDS):
             smoother, error_px = self._adjusted(

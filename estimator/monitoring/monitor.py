@@ -12,12 +12,14 @@ from dronevio.estimator.monitoring.health import Assessment
 from dronevio.estimator.monitoring.innovation import Innovation
 from dronevio.estimator.monitoring.reference import Reference
 from dronevio.estimator.optimization.linear_fit import median
-from dronevio.estimator.types import Calibration, Observations
+from dronevio.estimator.types import Calibration, CalibrationSigmas, Observations
 from dronevio.models.imu import ImuModel
 from dronevio.models.state import HealthQuantities, NavState
 
 MAX_BIAS_SIGMAS = 10.0
 """Largest plausible bias, in standard deviations of the bias."""
+KNOWN = CalibrationSigmas()
+"""A calibration without errors."""
 IMAGE_VARIANCES = 10
 """Number of keyframes from which the variance of image observations is taken."""
 
@@ -88,6 +90,7 @@ class HealthMonitor:
         image_variance: float | None,
         noise_densities: tuple[float, float],
         measured_densities: tuple[float, float] = (0.0, 0.0),
+        calibration: CalibrationSigmas = KNOWN,
     ) -> None:
         """Set what the next frames are compared with.
 
@@ -97,6 +100,7 @@ class HealthMonitor:
             image_variance: Variance of the window's image observations relative to the assumed one; None if unknown.
             noise_densities: Estimates for gyroscope [rad/s/√Hz] and accelerometer [m/s²/√Hz].
             measured_densities: Those that the samples themselves show, which a wrong calibration does not increase.
+            calibration: Standard deviations of the calibration in use.
         """
         sheet, ratio = (self._imu.gyro_noise_density, self._imu.accel_noise_density), self._config.max_noise_ratio
         known = zip(noise_densities, sheet, measured_densities, strict=True)
@@ -107,7 +111,7 @@ class HealthMonitor:
         bounds, variance = self._config.image_variance_bounds, 1.0
         if self._image_variances:
             variance = float(np.clip(float(np.median(self._image_variances)), *bounds))
-        self._reference = Reference(keyframe, landmarks, self._pixel_sigma**2 * variance, gyro, accel)
+        self._reference = Reference(keyframe, landmarks, self._pixel_sigma**2 * variance, gyro, accel, calibration)
 
     def disconnect(self, t_ns: int) -> None:
         """Note that no feature connects the images with earlier ones: they may show another place.

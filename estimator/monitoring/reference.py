@@ -7,7 +7,7 @@ import numpy as np
 
 from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
 from dronevio.estimator.monitoring.innovation import Innovation, PredictionUncertainty, innovation
-from dronevio.estimator.types import Calibration, Observations
+from dronevio.estimator.types import Calibration, CalibrationSigmas, Observations
 from dronevio.models.arrays import Array
 from dronevio.models.state import NavState
 
@@ -26,6 +26,8 @@ class Reference:
     """Noise density of the gyroscope [rad/s/√Hz]."""
     accel_noise_density: float
     """Noise density of the accelerometer [m/s²/√Hz]."""
+    calibration: CalibrationSigmas
+    """Standard deviations of the calibration in use."""
 
     def innovation(self, observations: Observations, predicted: NavState, calibration: Calibration) -> Innovation:
         """Return the innovation of a frame.
@@ -50,7 +52,8 @@ class Reference:
     def _prediction_covariance(self, predicted: NavState) -> tuple[Array, float]:
         """Return the uncertainty of the prediction since the keyframe.
 
-        These are the leading terms of `propagate_covariance` over some tenths of a second.
+        These are the leading terms of `propagate_covariance` over some tenths of a second, and what the calibration
+        adds: landmarks are where the camera has seen them, so that its errors turn and scale the motion since.
 
         Returns:
             The covariance (3, 3) of the position [m²] and the variance of the orientation about any axis [rad²].
@@ -60,7 +63,11 @@ class Reference:
             return np.zeros((3, 3)), 0.0
         gyro_bias, accel_bias = float(np.trace(P[9:12, 9:12])) / 3.0, float(np.trace(P[12:, 12:])) / 3.0
         accel_variance = 0.25 * t**4 * accel_bias + self.accel_noise_density**2 * t**3 / 3.0
+        before, now, sigmas = self.keyframe.T_world_imu, predicted.T_world_imu, self.calibration
+        turned_rad2 = 3.0 - float((before[:3, :3] * now[:3, :3]).sum())  # 2 (1 - cos) of the angle
         return (
-            t * t * P[6:9, 6:9] + accel_variance * np.eye(3),
-            t * t * gyro_bias + t * self.gyro_noise_density**2,
+            t * t * P[6:9, 6:9] + accel_variance * np.eye(3) + sigmas.of_displacement(now[:3, 3] - before[:3, 3]),
+            t * t * gyro_bias
+            + t * self.gyro_noise_density**2
+            + (sigmas.rotation_rad**2 + sigmas.focal**2) * turned_rad2,
         )

@@ -329,7 +329,8 @@ def room(rng: np.random.Generator, n: int = 1200) -> Array:
 def known_calibration() -> VioConfig:
     """Settings by which the given calibration is exact, so that states are as uncertain as the smoother states."""
     c = VioConfig()
-    off = {part: replace(getattr(c.calibration, part), online=False) for part in ("time_offset", "rotation", "gravity")}
+    parts = "time_offset", "rotation", "gravity", "focal", "principal", "radial"
+    off = {part: replace(getattr(c.calibration, part), online=False) for part in parts}
     return replace(c, calibration=replace(c.calibration, **off))
 
 

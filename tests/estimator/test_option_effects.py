@@ -47,8 +47,8 @@ STARTED: dict[str, Any] = {
     "calibration.rotation.online": False,
     "calibration.rotation.sigma": 0.2,
     "calibration.translation.online": True,
-    "calibration.focal.online": True,
-    "calibration.principal.online": True,
+    "calibration.focal.online": False,
+    "calibration.principal.online": False,
 }
 """Options that show on a flight from rest with one camera."""
 OTHERS: dict[str, Any] = {

@@ -10,7 +10,7 @@ from dronevio.estimator.initialization.not_observable import NotObservable
 from dronevio.estimator.monitoring.causes import Cause, Reason
 from dronevio.estimator.monitoring.config import HealthConfig
 from dronevio.estimator.monitoring.health import Assessment
-from dronevio.estimator.output import MAX_CONTRADICTION_NS, MIN_CAUSE_NS, REPEATED_IMAGES, Publisher
+from dronevio.estimator.output import INCONSISTENT, MAX_CONTRADICTION_NS, MIN_CAUSE_NS, REPEATED_IMAGES, Publisher
 from dronevio.estimator.types import NO_FEATURES, NO_MATCHES, FramePacket, Matches
 from dronevio.models.state import Health, NavState
 
@@ -162,3 +162,12 @@ def test_an_imu_gap_is_reported_at_its_begin_and_end() -> None:
     events = [publisher.without_state(packet_with_gap(s), WAITING).events for s in gaps_s]
     short, long = ("no IMU for 0.03 s",), ("no IMU for 0.25 s",)
     assert events == [(), short, (), long, (), (), ("IMU again after a gap of 0.55 s",), (), long]
+
+
+def test_inconsistency_is_an_event_of_its_own_and_few_landmarks_are_none() -> None:
+    """Each time that an estimate becomes inconsistent, and not at every frame of it."""
+    publisher, few = new_publisher(), replace(TRACKED, landmarks=2, inertial_only_s=9.0)
+    contradicted = replace(TRACKED, is_consistent=False)
+    assessments = (TRACKED, few, contradicted, contradicted, TRACKED, contradicted)
+    events = [publisher.estimate(packet(), state(0.01), each).events for each in assessments]
+    assert [INCONSISTENT in each for each in events] == [False, False, True, False, False, True]

@@ -113,7 +113,7 @@ def test_a_correction_of_gravity_is_used_at_once(make_flight: Callable[..., "Syn
             return getattr(self._calibrator, name)
 
         def add_keyframe(self, smoother: KeyframeSmoother, *_: Any, **__: Any) -> Correction:
-            return Correction(smoother, True, ())
+            return Correction(smoother, True, False, ())
 
     calibrator: Any = Corrected(vio._parts.calibrator)
     vio._parts = replace(vio._parts, calibrator=calibrator)

@@ -47,9 +47,8 @@ ESTIMATOR: OptionTable = MappingProxyType(
         " 0.02 rad.",
         "calibration.gravity.online": "The value of gravity at the place is exact: turn it off.",
         "calibration.translation.online": "The positions of the cameras were measured by hand: turn it on.",
-        "calibration.focal.online": "The focal lengths have changed since the calibration, by heat or focusing: turn it"
-        " on.",
-        "calibration.principal.online": "The principal point is a guess, such as the centre of the image: turn it on.",
+        "calibration.focal.online": "The focal lengths are exact: turn it off.",
+        "calibration.principal.online": "The principal points are exact: turn it off.",
         "health.max-inertial-sigma-m": "The flight passes through darkness: increase it to go on with the IMU for"
         " longer.",
     }

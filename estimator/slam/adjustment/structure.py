@@ -103,11 +103,22 @@ def _with_landmarks(
 def _corrected_model(calibration: Calibration, index: int) -> CameraModel:
     """Return the model of a camera with its corrected intrinsics.
 
-    The corrections are those of undistorted coordinates; where the lens distorts, they are exact at the axis.
+    The corrections are those of undistorted coordinates; where the lens distorts, they are exact at the axis. Lenses
+    whose first coefficient is not that of the third order of the radius keep it.
     """
     model = calibration.rig.cameras[index].model
-    if calibration.focal_correction is None or calibration.principal_correction is None:
+    corrections = calibration.intrinsics
+    if corrections is None:
         return model
-    (fx, fy), focal = model.central_focal_px, 1.0 + calibration.focal_correction[index]
-    x, y = calibration.principal_correction[index]
-    return replace(model, fx=model.fx * focal[0], fy=model.fy * focal[1], cx=model.cx + fx * x, cy=model.cy + fy * y)
+    (fx, fy), focal, (x, y) = model.central_focal_px, 1.0 + corrections.focal[index], corrections.principal[index]
+    distortion = model.distortion
+    if model.lens in ("radtan", "equidistant"):
+        distortion = (distortion[0] + float(corrections.radial[index]), *distortion[1:])
+    return replace(
+        model,
+        fx=focal * model.fx,
+        fy=focal * model.fy,
+        cx=model.cx + fx * x,
+        cy=model.cy + fy * y,
+        distortion=distortion,
+    )

@@ -15,6 +15,7 @@ from dronevio.estimator.backend.recalibration import (
     recalibrated_observations,
     with_calibration_error,
 )
+from dronevio.estimator.intrinsics import IntrinsicCorrections
 from dronevio.estimator.optimization.linalg import CholeskyFactor
 from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.arrays import Array
@@ -163,12 +164,14 @@ def test_keyframes_of_unknown_rotation_lose_their_observations(feed: "KeyframeFe
 
 
 def test_coordinates_by_corrected_intrinsics(feed: "KeyframeFeed", flight: "SyntheticFlight") -> None:
-    """A focal length that is 1 % larger makes the coordinates smaller; the way back is exact."""
+    """A longer focal length and a distortion that is not subtracted make the coordinates smaller; the way back."""
     window, given = feed.smoother._window, Calibration(flight.rig)
-    corrected = replace(given, focal_correction=np.full((1, 2), 0.01), principal_correction=np.array([[0.02, -0.01]]))
+    intrinsics = IntrinsicCorrections(np.full(1, 0.01), np.array([[0.02, -0.01]]), np.array([0.01]), np.zeros(1, bool))
+    corrected = replace(given, intrinsics=intrinsics)
     table = window.landmarks.all_observations
     found = recalibrated_observations(window.landmarks, window.states, {}, given, corrected)
-    np.testing.assert_allclose(found.xy, (table.xy - [0.02, -0.01]) / 1.01, rtol=1e-12)
+    distorted = (1.0 + 0.01 * (found.xy**2).sum(axis=1, keepdims=True)) * found.xy
+    np.testing.assert_allclose(distorted, (table.xy - [0.02, -0.01]) / 1.01, rtol=1e-9)
     window.landmarks.replace_observations(found)
     again = recalibrated_observations(window.landmarks, window.states, {}, corrected, given)
     np.testing.assert_allclose(again.xy, table.xy, atol=1e-12)
@@ -216,7 +219,8 @@ def test_gravity_needs_a_new_window(feed: "KeyframeFeed", flight: "SyntheticFlig
 def test_a_window_without_a_solution_is_not_kept(feed: "KeyframeFeed", flight: "SyntheticFlight") -> None:
     """Coordinates that are not finite make the linear system singular."""
     calibration = Calibration(
-        flight.rig, focal_correction=np.full((1, 2), np.nan), principal_correction=np.zeros((1, 2))
+        flight.rig,
+        intrinsics=IntrinsicCorrections(np.full(1, np.nan), np.zeros((1, 2)), np.zeros(1), np.zeros(1, bool)),
     )
     with np.errstate(all="ignore"):
         assert not feed.smoother.recalibrate(calibration, INFLATION)

@@ -13,6 +13,7 @@ from dronevio.estimator.backend.marginal_prior import MarginalPrior
 from dronevio.estimator.backend.marginalization import PendingMarginalization
 from dronevio.estimator.backend.window_objective import WindowObjective
 from dronevio.estimator.initialization.static import InitialSigmas
+from dronevio.estimator.intrinsics import IntrinsicCorrections
 from dronevio.estimator.optimization import gauss_newton
 from dronevio.estimator.optimization.linalg import CholeskyFactor, SingularError
 from dronevio.estimator.types import Calibration
@@ -219,7 +220,10 @@ def test_the_prior_waits_for_a_later_frame(
     [
         ({"gravity_correction_m_s2": 0.03}, True),
         ({"time_offset_correction_s": 0.01}, False),
-        ({"focal_correction": np.full((1, 2), 0.01), "principal_correction": np.zeros((1, 2))}, False),
+        (
+            {"intrinsics": IntrinsicCorrections(np.full(1, 0.01), np.zeros((1, 2)), np.zeros(1), np.zeros(1, bool))},
+            False,
+        ),
     ],
 )
 def test_a_restart_keeps_observations_of_the_same_time_and_lens(

@@ -11,8 +11,9 @@ def test_parameters_of_two_cameras_keep_their_order() -> None:
     assert (found.time_offset_s, found.gravity_m_s2) == (-1.0, 0.0)
     np.testing.assert_array_equal(found.rotation_rad, [[1, 2, 3], [11, 12, 13]])
     np.testing.assert_array_equal(found.translation_m, [[4, 5, 6], [14, 15, 16]])
-    np.testing.assert_array_equal(found.focal, [[7, 8], [17, 18]])
-    np.testing.assert_array_equal(found.principal, [[9, 10], [19, 20]])
+    np.testing.assert_array_equal(found.focal, [[7], [17]])
+    np.testing.assert_array_equal(found.principal, [[8, 9], [18, 19]])
+    np.testing.assert_array_equal(found.radial, [[10], [20]])
 
 
 @pytest.mark.parametrize(
@@ -22,8 +23,9 @@ def test_parameters_of_two_cameras_keep_their_order() -> None:
         (1, -0.0304, "gravity -0.030 m/s²"),
         (3, np.radians(-0.5), "camera 0 rotation +0.00 -0.50 +0.00°"),
         (15, 0.011, "camera 1 translation +11 +0 +0 mm"),
-        (8, -0.0125, "camera 0 focal lengths -1.25 +0.00 %"),
-        (21, 0.002, "camera 1 principal point +0.0 +2.0 mrad"),
+        (8, -0.0125, "camera 0 focal length -1.25 %"),
+        (20, 0.002, "camera 1 principal point +0.0 +2.0 mrad"),
+        (11, -0.0123, "camera 0 radial distortion -0.0123"),
     ],
 )
 def test_text_names_what_is_corrected(index: int, value: float, text: str) -> None:

@@ -110,6 +110,8 @@ def test_a_rotation_common_to_both_cameras_is_not_seen_at_rest() -> None:
 def test_another_baseline_is_no_rotation_of_both_cameras(position_sigma_m: float, is_significant: bool) -> None:
     """One camera is half a millimetre behind its given position, so that the baseline has another direction."""
     rig, config = rig_named("euroc-stereo"), CalibrationConfig(position_sigma_m=position_sigma_m)
+    off = {name: replace(getattr(config, name), online=False) for name in ("focal", "principal", "radial")}
+    config = replace(config, **off)  # wrong intrinsics look like a rotation, too
     T = rig.cameras[1].T_imu_cam @ pose_matrix(np.eye(3), np.array([0.0, 0.0, 0.0005]))
     seen = stereo_view(replace(rig, cameras=(rig.cameras[0], replace(rig.cameras[1], T_imu_cam=T))), noise_px=0.02)
     parts = (seen, seen.matches)
@@ -140,7 +142,7 @@ def test_positions_of_the_cameras_are_not_corrected() -> None:
     assert len(positions) == 6
     certain, test = 1e-8 * np.eye(len(mean)), SignificanceTest(0.0, 0.0)
     assert ParameterEstimate.prior(parameters).corrected(mean, certain, parameters, test) is None
-    equal = CalibrationConfig(focal=CalibrationConfig().translation)  # settings of one part that another has, too
+    equal = CalibrationConfig(focal=CalibrationConfig().principal)  # settings of one part that another has, too
     np.testing.assert_array_equal(ParameterTable.of(equal, 2).is_unknown, parameters.is_unknown)
     online = CalibrationConfig(translation=replace(CalibrationConfig().translation, online=True))
     of_positions = Corrections.from_vector(ParameterTable.of(online, 2).sigmas).translation_m
@@ -288,7 +290,7 @@ def test_images_have_more_weight_in_a_window_from_rest(make_flight: MakeFlight, 
         config = CalibrationConfig(window_s=2.0, adjustment=adjustment)
         flight = make_flight(0, rest_s=REST_S if begins_stationary else -5.0, duration_s=REST_S + 3.6)
         _, calibration, corrected = corrected_flight(flight, flight.rig, 0.0, config)
-        assert corrected is None and calibration.is_verified
+        assert corrected is None and calibration.sigmas.time_offset_s < 0.01  # a window is complete
         return calibration.sigmas.time_offset_s
 
     assert (sigma_s(0.2) < 0.9 * sigma_s(0.8)) == begins_stationary

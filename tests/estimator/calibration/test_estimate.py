@@ -15,8 +15,9 @@ from dronevio.models.arrays import Array
 CONFIG = CalibrationConfig()
 PARAMETERS = ParameterTable.of(CONFIG, 1)
 PRIOR = ParameterEstimate.prior(PARAMETERS)
-TEST = SignificanceTest.of_window(CONFIG, 1, begins_stationary=False)
+TEST = SignificanceTest.of_window(CONFIG, 1, begins_stationary=False, is_complete=True)
 CERTAIN = 1e-14 * np.eye(12)
+EACH = np.eye(12)
 
 
 def corrections(time_offset_s: float = 0.0, x_rad: float = 0.0, gravity_m_s2: float = 0.0) -> Array:
@@ -26,13 +27,14 @@ def corrections(time_offset_s: float = 0.0, x_rad: float = 0.0, gravity_m_s2: fl
     return mean
 
 
-def test_one_camera_has_five_parameters_that_are_corrected() -> None:
+def test_all_parameters_but_the_position_of_one_camera_are_corrected() -> None:
     rows = [group.rows.tolist() for group in PARAMETERS.groups]
-    assert rows == [[0], [GRAVITY], [2, 3, 4]]
-    np.testing.assert_array_equal(np.flatnonzero(PARAMETERS.is_unknown), [0, 1, 2, 3, 4])
-    np.testing.assert_allclose(PARAMETERS.sigmas, [0.01, 0.03, 0.02, 0.02, 0.02, *[FIXED_SIGMA] * 7])
+    assert rows == [[0], [GRAVITY], [2, 3, 4], [8], [9, 10], [11]]
+    np.testing.assert_array_equal(np.flatnonzero(PARAMETERS.is_unknown), [0, 1, 2, 3, 4, 8, 9, 10, 11])
+    sigmas = [0.01, 0.03, 0.02, 0.02, 0.02, *[FIXED_SIGMA] * 3, 0.02, 0.01, 0.01, 0.01]
+    np.testing.assert_allclose(PARAMETERS.sigmas, sigmas)
     np.testing.assert_allclose(PARAMETERS.limits, 5.0 * PARAMETERS.sigmas)
-    np.testing.assert_allclose(PARAMETERS.walk, [1e-5, 0.0, 1e-5, 1e-5, 1e-5, *[0.0] * 7])
+    np.testing.assert_allclose(PARAMETERS.walk, [1e-5, 0.0, 1e-5, 1e-5, 1e-5, *[0.0] * 3, *[1e-6] * 4])
 
 
 def test_uncertainty_grows_from_window_to_window() -> None:
@@ -46,13 +48,27 @@ def test_uncertainty_grows_from_window_to_window() -> None:
 def test_the_result_of_a_part_of_a_window_is_not_kept() -> None:
     mean, covariance = corrections(time_offset_s=0.002), 0.5 * PRIOR.covariance
     part = PRIOR.fused(mean, covariance, is_complete=False)
-    assert not part.mean.any() and not part.is_verified
+    assert not part.mean.any()
     np.testing.assert_array_equal(part.covariance, PRIOR.covariance)
     np.testing.assert_array_equal(part.newest_covariance, covariance)
     window = part.fused(mean, covariance, is_complete=True)
-    assert window.is_verified
     np.testing.assert_array_equal(window.mean, mean)
     np.testing.assert_array_equal(window.covariance, window.newest_covariance)
+
+
+def test_what_is_not_applied_is_an_error_of_the_calibration() -> None:
+    """3 mrad that are too small to be applied count, beside 4 mrad that are not known; what is applied does not."""
+    covariance = PRIOR.covariance.copy()
+    covariance[2, 2] = 0.004**2
+    for is_complete in (False, True):
+        kept = PRIOR.fused(corrections(x_rad=0.003), covariance, is_complete=is_complete)
+        assert kept.corrected(kept.newest_mean, covariance, PARAMETERS, TEST) is None
+        assert kept.errors(EACH)[2] == pytest.approx(0.005)
+        np.testing.assert_allclose(kept.errors(EACH)[3:], PARAMETERS.sigmas[3:])
+        applied = kept.fused(corrections(x_rad=0.03), covariance, is_complete=is_complete)
+        applied = applied.corrected(applied.newest_mean, covariance, PARAMETERS, TEST) or applied
+        assert applied.applied[2] == 0.03
+        assert applied.errors(EACH)[2] == pytest.approx(0.004)
 
 
 def test_a_corrected_parameter_follows_the_estimate() -> None:
@@ -74,8 +90,21 @@ def test_a_first_correction_exceeds_three_standard_deviations(sigmas: float, is_
     covariance[0, 0] = (0.004 / sigmas) ** 2
     corrected = PRIOR.corrected(corrections(time_offset_s=0.004), covariance, PARAMETERS, TEST)
     assert (corrected is not None) == is_applied
-    from_rest = SignificanceTest.of_window(CONFIG, 1, begins_stationary=True)
+    from_rest = SignificanceTest.of_window(CONFIG, 1, begins_stationary=True, is_complete=True)
     assert PRIOR.corrected(corrections(time_offset_s=0.004), covariance, PARAMETERS, from_rest) is None
+
+
+def test_intrinsics_are_corrected_by_complete_windows_only() -> None:
+    mean = corrections(time_offset_s=0.004)
+    mean[[8, 9, 11]] = 0.02, 0.01, -0.01
+    whole, part = (
+        SignificanceTest.of_window(CONFIG, 1, begins_stationary=True, is_complete=is_complete)
+        for is_complete in (True, False)
+    )
+    by_whole, by_part = (PRIOR.corrected(mean, CERTAIN, PARAMETERS, test) for test in (whole, part))
+    assert by_whole is not None and by_part is not None
+    np.testing.assert_array_equal(by_whole.applied, mean)
+    np.testing.assert_array_equal(by_part.applied, corrections(time_offset_s=0.004))
 
 
 def test_an_implausible_correction_is_remembered() -> None:
@@ -103,9 +132,10 @@ def test_inflation_is_proportional_to_the_correction(change: Array, share: float
     np.testing.assert_allclose(sigmas, share * np.repeat(CONFIG.inflation_sigmas, 3))
 
 
-def test_inflation_by_lenses_is_whole_and_by_gravity_its_own() -> None:
-    for row in (5, 8, 11):  # translation, focal length, principal point
-        assert inflation_share(1e-4 * np.eye(12)[row]) == 1.0
+def test_inflation_by_positions_is_whole_and_by_gravity_its_own() -> None:
+    assert inflation_share(1e-4 * np.eye(12)[5]) == 1.0
+    for row in (8, 9, 10, 11):  # focal length, principal point, radial distortion
+        assert inflation_share(0.01 * np.eye(12)[row]) == pytest.approx(0.01 / np.radians(1.0))
     sigmas = np.sqrt(np.diag(covariance_inflation(corrections(gravity_m_s2=0.02), CONFIG)))
     np.testing.assert_allclose(sigmas, np.repeat(CONFIG.gravity_inflation_sigmas, 3))
 
@@ -113,5 +143,5 @@ def test_inflation_by_lenses_is_whole_and_by_gravity_its_own() -> None:
 def test_settings_of_a_part_that_is_off_do_not_matter() -> None:
     off = replace(CONFIG.time_offset, online=False)
     table = ParameterTable.of(replace(CONFIG, time_offset=off), 1)
-    assert table.sigmas[0] == FIXED_SIGMA and not table.walk[0] and len(table.groups) == 2
+    assert table.sigmas[0] == FIXED_SIGMA and not table.walk[0] and len(table.groups) == 5
     assert Corrections.from_vector(table.sigmas).gravity_m_s2 == CONFIG.gravity.sigma

@@ -35,7 +35,7 @@ MakeFlight = Callable[..., "SyntheticFlight"]
 ROTATION_RAD = np.radians([0.6, -0.5, 0.7])
 TRANSLATION_M = np.array([0.01, -0.008, 0.006])
 ON, OFF = CalibratedPart(True, 0.5, 0.0, 0.0), CalibratedPart(False, 0.02, 0.0, 0.0)
-ALL_OFF = CalibrationConfig(OFF, OFF, OFF, OFF, OFF, OFF)
+ALL_OFF = CalibrationConfig(OFF, OFF, OFF, OFF, OFF, OFF, OFF)
 HOVER = {"positions_m": np.zeros((3, 2)), "angles_rad": np.zeros((3, 2))}
 NO_ROTATION = {"angles_rad": np.zeros((3, 2))}
 
@@ -150,14 +150,16 @@ def test_time_offset_and_rotation_are_found_together(noiseless: "SyntheticFlight
 def test_intrinsics_are_found(noiseless: "SyntheticFlight") -> None:
     assumed = replace(noiseless.rig.cameras[0].model, distortion=(0.0,) * 4)
     flight = replace(noiseless, rig=Errors(model=lambda model: assumed).true_rig(noiseless.rig))
-    true = replace(assumed, fx=1.01 * assumed.fx, fy=0.99 * assumed.fy, cx=assumed.cx + 4.0)
-    errors = Errors(model=lambda model: true)
-    found = calibrated(flight, replace(ALL_OFF, focal=ON, principal=ON), errors)
-    np.testing.assert_allclose(found.estimate.focal[0], [0.01, -0.01], atol=1e-3)
+    true = replace(assumed, fx=1.01 * assumed.fx, fy=1.01 * assumed.fy, cx=assumed.cx + 4.0)
+    errors = Errors(model=lambda model: replace(true, distortion=(0.02, 0.0, 0.0, 0.0)))
+    found = calibrated(flight, replace(ALL_OFF, focal=ON, principal=ON, radial=ON), errors)
+    np.testing.assert_allclose(found.estimate.focal[0], 0.01, atol=1e-3)
     np.testing.assert_allclose(found.estimate.principal[0], [4.0 / assumed.fx, 0.0], atol=1e-3)
+    np.testing.assert_allclose(found.estimate.radial[0], 0.02, atol=2e-3)
     *_, last = keyframes(flight, errors)
     corrected = found.calibration.normalized(last.observations)
-    np.testing.assert_allclose(corrected.xy, true.normalize(last.observations.pixels), atol=2e-3)
+    expected = errors.model(assumed).normalize(last.observations.pixels)
+    np.testing.assert_allclose(corrected.xy, expected, atol=2e-3)
 
 
 def test_translation_of_the_camera_is_found(noiseless: "SyntheticFlight") -> None:
@@ -219,12 +221,12 @@ def test_the_state_given_corrections_is_that_of_their_problem(make_flight: MakeF
         for k in keyframes(flight, Errors())
     ]
     config = AdjustmentConfig(iterations=20, max_decrement=1e-10)
-    Ts, focal_px = Calibration(flight.rig).Ts_imu_cam, float(Calibration(flight.rig).focal_px[0])
+    calibration = Calibration(flight.rig)
     estimated, prior = np.isin(np.arange(12), [0, 2, 3, 4]), np.diag(np.repeat([1e4, 2.5e3], [2, 10]))
 
     def adjusted(mean: Array, information: Array) -> AdjustmentResult:
         objective = CalibrationObjective.of(
-            window, Ts, focal_px, config, mean, information, estimated, GRAVITY_M_S2, initial=np.zeros(12)
+            window, calibration, config, mean, information, estimated, GRAVITY_M_S2, initial=np.zeros(12)
         )
         problem = CalibrationProblem(objective, config, window[-1].state.t_ns)
         while not problem.is_done:
@@ -320,7 +322,7 @@ def test_the_smallest_rotation_is_that_of_each_camera(cameras: int, share: float
     """A rotation of the IMU in its housing turns all cameras alike."""
     config = CalibrationConfig()
     parameters = ParameterTable.of(config, cameras)
-    from_rest = SignificanceTest.of_window(config, cameras, begins_stationary=True)
+    from_rest = SignificanceTest.of_window(config, cameras, begins_stationary=True, is_complete=True)
     mean = turned_alike(cameras, share * config.rotation.min_correction)
     corrected = ParameterEstimate.prior(parameters).corrected(mean, 1e-12 * np.eye(len(mean)), parameters, from_rest)
     assert (corrected is not None) == applied
@@ -331,7 +333,7 @@ def test_first_rotation_by_windows_in_motion_is_larger(cameras: int) -> None:
     """Later corrections of rotations that are known to be wrong are as small as by windows from rest."""
     config = CalibrationConfig()
     parameters = ParameterTable.of(config, cameras)
-    in_motion = SignificanceTest.of_window(config, cameras, begins_stationary=False)
+    in_motion = SignificanceTest.of_window(config, cameras, begins_stationary=False, is_complete=True)
     certain = 1e-12 * np.eye(len(parameters.sigmas))
 
     def corrected(estimate: ParameterEstimate, rotation_rad: float) -> ParameterEstimate | None:

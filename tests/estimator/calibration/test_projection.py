@@ -1,12 +1,18 @@
 """Projection with a calibration among the unknowns: residuals, and Jacobians against numerical derivatives."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from dronevio.estimator.backend.triangulation import triangulate
-from dronevio.estimator.calibration.corrections import COMMON_PARAMETERS, PARAMETERS_PER_CAMERA, Corrections
+from dronevio.estimator.calibration.corrections import (
+    COMMON_PARAMETERS,
+    PARAMETERS_PER_CAMERA,
+    Corrections,
+    seen_errors,
+)
 from dronevio.estimator.calibration.projection import (
     CalibrationObservations,
     CalibrationState,
@@ -14,6 +20,7 @@ from dronevio.estimator.calibration.projection import (
     corrected_xy,
     project,
 )
+from dronevio.estimator.intrinsics import normalized_xy
 from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, pose_matrix
 
@@ -31,7 +38,7 @@ class Problem:
     points: Array
     corrections: Array
 
-    def residual(self, **changed: Array) -> Array:
+    def residual(self, **changed: Any) -> Array:
         """Return the residuals with some variables of the state, the points or the corrections replaced."""
         points = changed.pop("points", self.points)
         corrections = Corrections.from_vector(changed.pop("corrections", self.corrections))
@@ -49,12 +56,14 @@ def problem() -> Problem:
         rates_rad_s=rng.normal(size=(K, 3)),
         time_offsets_s=np.array([0.0, 0.002, 0.005]),
         Ts_imu_cam=pose_matrix(exp_so3(0.1 * rng.normal(size=(CAMERAS, 3))), 0.1 * rng.normal(size=(CAMERAS, 3))),
+        is_fisheye=np.arange(CAMERAS) == 1,
         corrections=Corrections.from_vector(corrections),
     )
     points = np.column_stack([rng.uniform(-1.0, 1.0, (L, 2)), rng.uniform(4.0, 8.0, L)])
     landmark, keyframe, camera = (x.ravel() for x in np.meshgrid(range(L), range(K), range(CAMERAS), indexing="ij"))
     observations = CalibrationObservations(keyframe, camera, landmark, np.zeros((len(landmark), 2)))
-    exact = replace(observations, xy=-project(state, observations, points).residual)
+    lens = -project(state, observations, points).residual
+    exact = replace(observations, xy=normalized_xy(lens, state.is_fisheye[camera]))
     return Problem(state, exact, points, corrections)
 
 
@@ -101,6 +110,26 @@ def test_jacobian_by_extrinsics_and_intrinsics(problem: Problem) -> None:
         step = H * np.eye(len(corrections))[i]
         ahead, behind = (problem.residual(corrections=corrections + sign * step) for sign in (1.0, -1.0))
         np.testing.assert_allclose(J[:, :, i], (behind - ahead) / (2.0 * H), atol=1e-7)
+
+
+def test_a_principal_point_is_seen_as_a_rotation(problem: Problem) -> None:
+    """Both together change no image near the axis, and neither do they change the view."""
+    size, one = COMMON_PARAMETERS + PARAMETERS_PER_CAMERA, np.zeros(len(problem.observations.xy), np.int64)
+    observations = replace(problem.observations, camera=one)
+    Ts, pinhole = problem.state.Ts_imu_cam[:1], np.zeros(1, np.bool_)
+    state = replace(problem.state, time_offsets_s=np.zeros(K), Ts_imu_cam=Ts, is_fisheye=pinhole)
+    on_axis = np.array([[0.0, 0.0, 5.0]]) @ (state.R_world_imu[0] @ state.Ts_imu_cam[0, :3, :3]).T
+    points = np.tile(state.p_world_imu[0] + on_axis + state.Ts_imu_cam[0, :3, 3], (L, 1))
+    x = np.zeros(size)
+    x[COMMON_PARAMETERS : COMMON_PARAMETERS + 2] = 1e-4, -2e-4
+    x[COMMON_PARAMETERS + 7 : COMMON_PARAMETERS + 9] = -2e-4, -1e-4
+    np.testing.assert_allclose(seen_errors(size) @ x, np.zeros(6), atol=1e-12)
+    first = observations.keyframe == 0
+    images = [
+        project(replace(state, corrections=Corrections.from_vector(vector)), observations, points).residual[first]
+        for vector in (np.zeros(size), x, np.abs(x))
+    ]
+    assert np.abs(images[1] - images[0]).max() < 1e-5 < 1e-4 < np.abs(images[2] - images[0]).max()
 
 
 @pytest.mark.parametrize(("delay_s", "tolerance"), [(0.0, 1e-6), (0.01, 0.05)])

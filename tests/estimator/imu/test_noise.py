@@ -20,7 +20,7 @@ from dronevio.estimator.imu.noise import (
 from dronevio.estimator.imu.preintegration import PreintegrationConfig
 from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.models.arrays import Array
-from dronevio.models.imu import EUROC_IMU
+from dronevio.models.imu import EUROC_IMU, ImuSamples
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import KeyframeFeed, SyntheticFlight
@@ -206,6 +206,30 @@ def test_random_walks_follow_the_noise_at_rest(factor: float, walk_factor: float
         found = np.array([noise.params.gyro_walk_variance, noise.params.accel_walk_variance])
         given = np.array([initial.gyro_walk_variance, initial.accel_walk_variance])
         np.testing.assert_allclose(np.sqrt(found / given), expected, rtol=0.05 if expected > 1.0 else 1e-12)
+
+
+@pytest.mark.parametrize(("factor", "expected"), [(1.0, 5.0), (16.0, 8.0), (100.0, 50.0)])
+def test_a_start_in_motion_begins_with_half_of_the_noise_that_the_samples_show(factor: float, expected: float) -> None:
+    """It is at least that of the settings, five times the data sheet, and may exceed the limit of 30 times."""
+    noise, dt_s, n = ImuNoiseEstimator(EUROC_IMU, PreintegrationConfig(), NoiseEstimationConfig()), 0.005, 1920
+    densities = np.repeat([EUROC_IMU.gyro_noise_density, EUROC_IMU.accel_noise_density], 3)
+    readings = np.random.default_rng(7).normal(size=(n, 6)) * factor * densities / np.sqrt(dt_s)
+    noise.add_imu(ImuSamples(np.arange(n) * 5_000_000, readings[:, :3], readings[:, 3:], "increment"))
+    noise.begin_in_motion()
+    assert noise.densities[1] / EUROC_IMU.accel_noise_density == pytest.approx(expected, rel=0.35)
+    assert noise.params.accel_variance == pytest.approx(noise.densities[1] ** 2)
+
+
+def test_noise_that_images_have_shown_is_kept_by_a_later_start() -> None:
+    noise, n = ImuNoiseEstimator(EUROC_IMU, PreintegrationConfig(), NoiseEstimationConfig()), 640
+    sheet = (EUROC_IMU.gyro_noise_density, EUROC_IMU.accel_noise_density)
+    readings = np.random.default_rng(8).normal(size=(n, 6)) * 16.0 * np.repeat(sheet, 3) / np.sqrt(0.005)
+    noise.add_imu(ImuSamples(np.arange(n) * 5_000_000, readings[:, :3], readings[:, 3:], "increment"))
+    for _ in range(500):
+        noise.update(ImuVarianceComponents(*(VarianceComponent(1.0, 1.0, density**2) for density in sheet)))
+    before = noise.densities
+    noise.begin_in_motion()
+    assert noise.densities == before
 
 
 @pytest.mark.slow

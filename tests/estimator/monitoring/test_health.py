@@ -13,7 +13,7 @@ from dronevio.estimator.backend.reprojection import MEDIAN_CHI2_2DOF
 from dronevio.estimator.monitoring.config import HealthConfig
 from dronevio.estimator.monitoring.health import health_report
 from dronevio.estimator.monitoring.monitor import IMAGE_VARIANCES, HealthMonitor
-from dronevio.estimator.types import NO_FEATURES, Calibration, Observations
+from dronevio.estimator.types import NO_FEATURES, Calibration, CalibrationSigmas, Observations
 from dronevio.models.arrays import Array
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
@@ -125,6 +125,30 @@ def test_innovation_of_consistent_noise_is_one() -> None:
         nis.append(report.innovation_nis)
     assert np.mean(nis) == pytest.approx(1.0, abs=0.08)
     assert max(nis) < 3.0
+
+
+def test_innovation_contains_the_uncertainty_of_the_calibration() -> None:
+    """The true camera is turned in the vehicle, which turns and moves; landmarks are where the camera has seen them."""
+    rng, sigma_rad = np.random.default_rng(4), 0.02
+    triangulated = landmarks(120, rng)
+    change = pose_matrix(exp_so3(np.array([0.02, -0.1, 0.3])), np.array([0.2, -0.3, 0.1]))
+    predicted = state_after(4, T_world_imu=START.T_world_imu @ change)
+    nis: dict[float, list[float]] = {0.0: [], sigma_rad: []}
+    for _ in range(200):
+        # What the turned camera does is what the given one would do after the motion as it is seen from there
+        turn = RIG.cameras[0].T_imu_cam @ pose_matrix(exp_so3(sigma_rad * rng.normal(size=3)), np.zeros(3))
+        turn = turn @ inverse_pose(RIG.cameras[0].T_imu_cam)
+        true = replace(predicted, T_world_imu=START.T_world_imu @ inverse_pose(turn) @ change @ turn)
+        observations = observe(triangulated, true, np.zeros(120, np.int64), SIGMA_PX * rng.normal(size=(120, 2)))
+        for known_rad, values in nis.items():
+            monitor = monitor_of(triangulated)
+            monitor.set_reference(
+                START, triangulated, None, DENSITIES, calibration=CalibrationSigmas(rotation_rad=known_rad)
+            )
+            values.append(assess(monitor, observations, predicted).innovation_nis or 0.0)
+    assert np.mean(nis[0.0]) > 10.0
+    # The error is common to all landmarks: their median is a square of two degrees of freedom, whose mean is 2
+    assert np.mean(nis[sigma_rad]) == pytest.approx(2.0 / MEDIAN_CHI2_2DOF, rel=0.2)
 
 
 def test_tracks_without_parallax_do_not_constrain() -> None:

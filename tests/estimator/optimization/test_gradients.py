@@ -138,11 +138,10 @@ def test_of_the_adjustment_of_a_calibration(make_flight: MakeFlight) -> None:
         )
         for k in keyframes(flight, Errors())
     ]
-    calibration, estimated = Calibration(flight.rig), np.ones(12, np.bool_)
+    estimated = np.ones(12, np.bool_)
     objective = CalibrationObjective.of(
         given,
-        calibration.Ts_imu_cam,
-        float(calibration.focal_px[0]),
+        Calibration(flight.rig),
         AdjustmentConfig(),
         np.full(12, 1e-3),
         np.diag(np.repeat([1e4, 2.5e3], [2, 10])),

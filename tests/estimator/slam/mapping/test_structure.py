@@ -8,6 +8,7 @@ import pytest
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.backend.observations import ObservationTable
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
+from dronevio.estimator.intrinsics import IntrinsicCorrections
 from dronevio.estimator.slam.adjustment.bundle_adjustment import AdjustmentConfig, AdjustmentInputs, AdjustmentKeyframe
 from dronevio.estimator.slam.adjustment.structure import MAX_ERROR_PX, map_structure
 from dronevio.estimator.types import Calibration
@@ -101,9 +102,12 @@ def test_a_map_without_landmarks_has_its_images() -> None:
 
 def test_cameras_have_the_corrected_intrinsics() -> None:
     """The pixels are those that the images have: by the given model, before the correction."""
-    calibration = Calibration(RIG, 0.0, np.full((2, 2), 0.01), np.full((2, 2), -0.005))
+    calibration = Calibration(
+        RIG, 0.0, IntrinsicCorrections(np.full(2, 0.01), np.full((2, 2), -0.005), np.full(2, 0.02), np.zeros(2, bool))
+    )
     r = map_structure(inputs(calibration), AdjustmentConfig(), STAMPS_NS).reconstruction
     assert r.cameras[0].fx == pytest.approx(1.01 * RIG.cameras[0].model.fx)
+    assert r.cameras[0].distortion[0] == pytest.approx(RIG.cameras[0].model.distortion[0] + 0.02)
     table = observed(NUMBERS[0], inputs().keyframes[0].T_map_imu, calibration)
     given = RIG.cameras[0].model
     is_central = (table.camera == 0) & (np.linalg.norm(table.xy, axis=1) < 0.15)
