@@ -21,7 +21,7 @@ from dronevio.estimator.odometry_state import Initializing, Tracking
 from dronevio.estimator.output import MIN_CAUSE_NS
 from dronevio.estimator.pipeline import MeasurementPipeline
 from dronevio.estimator.transitions import publish, with_offset
-from dronevio.estimator.types import NO_FEATURES, FramePacket, Observations
+from dronevio.estimator.types import NO_FEATURES, CalibrationSigmas, FramePacket, Observations
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements
 from dronevio.models.rig import euroc_rig
@@ -119,6 +119,42 @@ def test_a_correction_of_gravity_is_used_at_once(make_flight: Callable[..., "Syn
     vio._parts = replace(vio._parts, calibrator=calibrator)
     push(vio, feed, frames=20)
     assert vio.imu_noise.gravity_m_s2 == vio._parts.imu_rate._params.gravity_m_s2 == gravity_m_s2
+
+
+@pytest.mark.parametrize("has_corrected_state", [False, True])
+def test_a_correction_does_not_make_the_position_more_certain(
+    short_flight: "SyntheticFlight", has_corrected_state: bool
+) -> None:
+    """The focal length is known to 5 % before it, and exactly after it; what it has made of the way remains."""
+    vio, feed = VisualInertialOdometry(short_flight.rig, front_end=short_flight.front_end()), measurements(short_flight)
+    push(vio, feed, frames=50)
+    assert isinstance(vio._state.phase, Tracking)
+    given = vio._state.phase.origin
+
+    class Corrected:
+        """A calibrator that corrects the focal length with the next keyframe; all else is that of another one."""
+
+        def __init__(self, calibrator: Any) -> None:
+            self._calibrator, self.sigmas = calibrator, CalibrationSigmas(focal=0.05)
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self._calibrator, name)
+
+        def add_keyframe(self, smoother: KeyframeSmoother, *_: Any, **__: Any) -> Correction:
+            self.sigmas = CalibrationSigmas()
+            return Correction(smoother, True, has_corrected_state, ())
+
+    calibrator: Any = Corrected(vio._parts.calibrator)
+    vio._parts = replace(vio._parts, calibrator=calibrator)
+    push(vio, feed, frames=20)
+    assert isinstance(vio._state.phase, Tracking)
+    origin = vio._state.phase.origin
+    if has_corrected_state:
+        assert origin is given
+    else:
+        way_m = np.linalg.norm(origin.position_m - given.position_m)
+        largest_m = np.sqrt(np.linalg.eigvalsh(origin.covariance)[-1])
+        assert way_m > 0.1 and 0.01 * way_m < largest_m < 0.06 * way_m
 
 
 def test_frames_of_another_place_are_discarded_when_features_connect_again(vio: VisualInertialOdometry) -> None:
