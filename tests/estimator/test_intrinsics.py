@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dronevio.estimator.calibration.corrections import Corrections
 from dronevio.estimator.intrinsics import IntrinsicCorrections, lens_jacobian, lens_xy, normalized_xy
+from dronevio.estimator.types import Calibration
 from dronevio.models.rig_presets import rig_named
 
 CAMERA = np.repeat([0, 1], 50)
@@ -69,6 +71,18 @@ def test_a_wrong_calibration_is_corrected(preset: str, share: float) -> None:
     found = corrections.corrected_xy(wrong.normalize(pixels), np.zeros(200, np.int64))
     before, after = (np.linalg.norm(xy - true.normalize(pixels), axis=1) for xy in (wrong.normalize(pixels), found))
     assert np.sqrt((after**2).mean()) < share * np.sqrt((before**2).mean())
+
+
+@pytest.mark.parametrize(("preset", "is_fisheye"), [("euroc-stereo", False), ("nano", False), ("fisheye-stereo", True)])
+def test_corrections_of_a_rig_are_those_of_its_lenses(preset: str, is_fisheye: bool) -> None:
+    """The focal lengths of all cameras are corrected by 1 %: after time offset, gravity and six others."""
+    given = Calibration(rig_named(preset))
+    x = np.zeros(2 + 10 * len(given.rig.cameras))
+    x[8::10] = 0.01
+    intrinsics = Corrections.from_vector(x).applied_to(given).intrinsics
+    assert intrinsics is not None and (intrinsics.is_fisheye == is_fisheye).all()
+    expected = np.tan(np.pi / 4.0 * 1.01) if is_fisheye else 1.01
+    np.testing.assert_allclose(intrinsics.given_xy(np.array([[1.0, 0.0]]), ONE), [[expected, 0.0]])
 
 
 @pytest.mark.parametrize("is_fisheye", [False, True])

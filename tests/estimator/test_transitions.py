@@ -12,6 +12,7 @@ from dronevio.estimator.calibration.calibrator import Correction
 from dronevio.estimator.calibration.rotation_offset import RotationOffset
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.buffer import NO_INCREMENTS
+from dronevio.estimator.imu.noise import ImuNoiseEstimator
 from dronevio.estimator.initialization.gauge import LastPublished
 from dronevio.estimator.initialization.not_observable import NotObservable
 from dronevio.estimator.monitoring.causes import Cause
@@ -119,6 +120,28 @@ def test_a_correction_of_gravity_is_used_at_once(make_flight: Callable[..., "Syn
     vio._parts = replace(vio._parts, calibrator=calibrator)
     push(vio, feed, frames=20)
     assert vio.imu_noise.gravity_m_s2 == vio._parts.imu_rate._params.gravity_m_s2 == gravity_m_s2
+
+
+def test_frames_are_compared_with_what_is_known_of_the_calibration(vio: VisualInertialOdometry) -> None:
+    phase, sigmas = vio._state.phase, vio._parts.calibrator.sigmas
+    assert isinstance(phase, Tracking) and phase.monitor._reference is not None
+    assert phase.monitor._reference.calibration == sigmas and min(sigmas.rotation_rad, sigmas.focal) > 0.0
+
+
+@pytest.mark.parametrize(("rest_s", "expected"), [(1.0, 0), (-5.0, 1)])
+def test_starts_in_motion_take_the_noise_that_the_samples_show(
+    make_flight: Callable[..., "SyntheticFlight"], monkeypatch: pytest.MonkeyPatch, rest_s: float, expected: int
+) -> None:
+    taken: list[ImuNoiseEstimator] = []
+
+    def counted(noise: ImuNoiseEstimator) -> None:
+        taken.append(noise)
+
+    monkeypatch.setattr(ImuNoiseEstimator, "begin_in_motion", counted)
+    flight = make_flight(0, rest_s=rest_s, duration_s=3.0)
+    vio = VisualInertialOdometry(flight.rig, front_end=flight.front_end())
+    push(vio, iter(measurements(flight)), len(flight.frame_times_ns))
+    assert isinstance(vio._state.phase, Tracking) and min(len(taken), 1) == expected
 
 
 @pytest.mark.parametrize("has_corrected_state", [False, True])
