@@ -13,7 +13,7 @@ from dronevio.models.state import Estimate, FeatureTracks, Health, HealthQuantit
 REPEATED_IMAGES = "the image does not change although the vehicle moves: not used"
 """Event at the first of several equal images."""
 INCONSISTENT = "inconsistent: images and prediction contradict each other by more than their covariance"
-"""Event at the first of several frames whose health has the cause `Cause.INCONSISTENT`."""
+"""Event where `Cause.INCONSISTENT` has lasted longer than a disturbance, such as the jolt of a landing."""
 MAX_CONTRADICTION_NS = 3_000_000_000
 """Longest time for which a first state is not published for that reason [ns]: that of a search for the time offset
 of camera and IMU."""
@@ -47,7 +47,8 @@ class Publisher:
         self._cause: tuple[Cause | None, int] = (None, 0)  # what prevents the initialization, and its first time [ns]
         self._stated_causes: frozenset[Cause] = frozenset()
         self._is_noise_stated = False
-        self._is_inconsistent = False  # whether the last published state was
+        self._inconsistent_ns: int | None = None  # since when the published states are; None where the last was not
+        self._is_inconsistency_stated = False
         self._sensors = SensorEvents(imu_rate_hz)
 
     @property
@@ -85,7 +86,7 @@ class Publisher:
                 return self.without_state(packet, Reason.of(Cause.CONTRADICTION), report)
             self._is_publishing, self._cause = True, (None, 0)
             events = ("initialized" if self._waiting is Health.INITIALIZING else "recovered", *events)
-        noise, inconsistency = self._noise_events(assessment), self._inconsistency_events(report)
+        noise, inconsistency = self._noise_events(assessment), self._inconsistency_events(packet.t_ns, report)
         events = (*events, *self._sensors.of(packet), *noise, *inconsistency)
         tracks = _feature_tracks(packet.observations)
         return Estimate(packet.t_ns, report.health, state, tracks, landmarks_odom, events, report)
@@ -109,7 +110,7 @@ class Publisher:
 
     def lost(self, packet: FramePacket, reason: Reason, quantities: HealthQuantities) -> Estimate:
         """Return the estimate of a frame at which the state is lost; the next one has to be certain again."""
-        self._waiting, self._is_publishing, self._is_inconsistent = Health.LOST, False, False
+        self._waiting, self._is_publishing, self._inconsistent_ns = Health.LOST, False, None
         return self.without_state(packet, reason, quantities, (f"lost: {reason.text}",))
 
     def _is_contradicted(self, t_ns: int, report: HealthReport) -> bool:
@@ -125,10 +126,21 @@ class Publisher:
         self._is_noise_stated = True
         return (f"probable cause: {Cause.EXCESSIVE_NOISE}",)
 
-    def _inconsistency_events(self, report: HealthReport) -> tuple[str, ...]:
-        """Return an event where an estimate becomes inconsistent, which few landmarks do not make it."""
-        before, self._is_inconsistent = self._is_inconsistent, report.cause is Cause.INCONSISTENT
-        return (INCONSISTENT,) if self._is_inconsistent and not before else ()
+    def _inconsistency_events(self, t_ns: int, report: HealthReport) -> tuple[str, ...]:
+        """Return an event where an estimate has been inconsistent for longer than a disturbance and the time after it.
+
+        Few landmarks do not make it inconsistent.
+        """
+        if report.cause is not Cause.INCONSISTENT:
+            self._inconsistent_ns, self._is_inconsistency_stated = None, False
+            return ()
+        if self._inconsistent_ns is None:
+            self._inconsistent_ns = t_ns
+        is_long = (t_ns - self._inconsistent_ns) * 1e-9 > 2.0 * self._health.disturbance_s
+        if self._is_inconsistency_stated or not is_long:
+            return ()
+        self._is_inconsistency_stated = True
+        return (INCONSISTENT,)
 
     def _cause_events(self, t_ns: int, cause: Cause | None) -> tuple[str, ...]:
         """Return an event where the same cause has prevented the initialization for some time; one for each cause."""

@@ -165,9 +165,13 @@ def test_an_imu_gap_is_reported_at_its_begin_and_end() -> None:
 
 
 def test_inconsistency_is_an_event_of_its_own_and_few_landmarks_are_none() -> None:
-    """Each time that an estimate becomes inconsistent, and not at every frame of it."""
+    """Each time that an estimate is inconsistent for longer than a disturbance and as long again, and then once."""
     publisher, few = new_publisher(), replace(TRACKED, landmarks=2, inertial_only_s=9.0)
     contradicted = replace(TRACKED, is_consistent=False)
-    assessments = (TRACKED, few, contradicted, contradicted, TRACKED, contradicted)
-    events = [publisher.estimate(packet(), state(0.01), each).events for each in assessments]
-    assert [INCONSISTENT in each for each in events] == [False, False, True, False, False, True]
+    disturbed = [contradicted] * 18  # 1.19 s at an interval of 70 ms
+    assessments = [TRACKED, few, *disturbed, TRACKED, *disturbed, contradicted, contradicted, few, *disturbed]
+    events = [
+        publisher.estimate(replace(packet(), t_ns=70_000_000 * k), state(0.01), each).events
+        for k, each in enumerate(assessments)
+    ]
+    assert [k for k, each in enumerate(events) if INCONSISTENT in each] == [2 + 18 + 1 + 18]
