@@ -48,6 +48,9 @@ class CalibrationConfig(Settings):
     """Principal point of each camera, in units of the focal lengths."""
     radial: CalibratedPart = CalibratedPart(True, sigma=0.01, min_correction=0.005, walk=1e-6, refinement=0.1)
     """First radial coefficient of the distortion of each camera."""
+    gyro_scale_sigma: Annotated[float, Range(0.0, 0.1)] = 0.005
+    """Standard deviation of the gyroscope's scale, relative. It is an unknown of the adjustments that is not corrected:
+    where a camera turns, a wrong scale looks like a wrong focal length."""
     min_motion_correction: Annotated[float, Range(low=0.0)] = 0.01
     """Smallest first correction of the rotations by windows that begin in motion [rad], as the root mean square over
     the cameras. Smaller rotations have systematic causes there, which many windows share."""

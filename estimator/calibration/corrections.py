@@ -9,10 +9,12 @@ from dronevio.estimator.types import Calibration
 from dronevio.models.arrays import Array, Mask
 from dronevio.models.rotation import exp_so3, pose_matrix
 
-COMMON_PARAMETERS = 2
-"""Number of parameters that are not of one camera: time offset, gravity."""
+COMMON_PARAMETERS = 3
+"""Number of parameters that are not of one camera: time offset, gravity, scale of the gyroscope."""
 GRAVITY = 1
 """Index of the correction of gravity in the vector of all parameters."""
+GYRO_SCALE = 2
+"""Index of that of the gyroscope's scale."""
 PARAMETERS_PER_CAMERA = 10
 """Number of parameters of a camera: rotation (3), translation (3), focal length, principal point (2), distortion."""
 
@@ -21,13 +23,16 @@ PARAMETERS_PER_CAMERA = 10
 class Corrections:
     """Corrections of time offset, gravity, extrinsics and intrinsics of C cameras, or their standard deviations.
 
-    The vector of all parameters begins with time offset and gravity, followed by the ten parameters of each camera.
+    The vector of all parameters begins with time offset, gravity and scale of the gyroscope, followed by the ten
+    parameters of each camera.
     """
 
     time_offset_s: float
     """Correction of the time offset, t_imu = t_cam + offset [s]."""
     gravity_m_s2: float
     """Correction of the magnitude of gravity [m/s²]."""
+    gyro_scale: float
+    """Relative correction of the gyroscope's scale; an unknown of the adjustments that is not applied."""
     rotation_rad: Array
     """(C, 3) Rotation vectors in the camera frames, applied on the right: R_imu_cam Exp(rotation) [rad]."""
     translation_m: Array
@@ -41,10 +46,10 @@ class Corrections:
 
     @classmethod
     def from_vector(cls, x: Array) -> "Corrections":
-        """Return the corrections of a vector (2 + 10 C,) of parameters."""
+        """Return the corrections of a vector (3 + 10 C,) of parameters."""
         rows = x[COMMON_PARAMETERS:].reshape(-1, PARAMETERS_PER_CAMERA)
         of_camera = np.split(rows, [3, 6, 7, 9], axis=1)
-        return cls(float(x[0]), float(x[GRAVITY]), *of_camera)
+        return cls(float(x[0]), float(x[GRAVITY]), float(x[GYRO_SCALE]), *of_camera)
 
     def intrinsics(self, is_fisheye: Mask) -> IntrinsicCorrections:
         """Return the corrections of the intrinsics of cameras (C,) of which some are fisheyes."""

@@ -72,8 +72,10 @@ class CalibrationImuFactors:
         covariance = np.array([measured.preintMeasCov()[:9, :9] for measured in preintegrated]).reshape(F, 9, 9)
         return cls(dt_s, R[:, 0], position_velocity[:, 0], J_bias, np.linalg.inv(covariance))
 
-    def residuals(self, R: Array, p: Array, v: Array, bias: Array, gravity_m_s2: float) -> tuple[Array, Array]:
-        """Return the residuals (F, 9) between consecutive keyframes, and their Jacobians (F, 9, 25).
+    def residuals(
+        self, R: Array, p: Array, v: Array, bias: Array, gravity_m_s2: float, gyro_scale: float = 0.0
+    ) -> tuple[Array, Array]:
+        """Return the residuals (F, 9) between consecutive keyframes, and their Jacobians (F, 9, 26).
 
         Args:
             R: (F + 1, 3, 3) Orientations of the keyframes, `R_world_imu`.
@@ -81,24 +83,27 @@ class CalibrationImuFactors:
             v: (F + 1, 3) Velocities in the world frame [m/s].
             bias: (6,) Correction of the biases at which the factors were linearized.
             gravity_m_s2: Magnitude of gravity [m/s²].
+            gyro_scale: Relative correction of the gyroscope's scale.
 
         Returns:
             The residuals of rotation, position and velocity, and their Jacobians by δθ (right), δp, δv of the first
-            keyframe, the same of the second, the biases, and the magnitude of gravity.
+            keyframe, the same of the second, the biases, the magnitude of gravity, and the gyroscope's scale.
         """
         dt, R_start, R_end = self.dt_s[:, None], np.swapaxes(R[:-1], 1, 2), R[1:]
         gravity = np.array([0.0, 0.0, -gravity_m_s2])
-        dR = self.rotation @ exp_so3(self.J_bias[:, :3] @ bias)
+        turned = log_so3(self.rotation)
+        dR = self.rotation @ exp_so3(self.J_bias[:, :3] @ bias + gyro_scale * turned)
         r_rotation = log_so3(np.swapaxes(dR, 1, 2) @ R_start @ R_end)
         dp = _rotated(R_start, np.diff(p, axis=0) - v[:-1] * dt - 0.5 * gravity * dt**2)
         dv = _rotated(R_start, np.diff(v, axis=0) - gravity * dt)
         moved = np.concatenate([dp, dv], axis=1) - self.position_velocity - self.J_bias[:, 3:] @ bias
-        J, dt = np.zeros((len(self), 9, 25)), dt[..., None]
+        J, dt = np.zeros((len(self), 9, 26)), dt[..., None]
         J[:, 0:3, 0:3], J[:, 0:3, 9:12] = -np.swapaxes(R_end, 1, 2) @ R[:-1], np.eye(3)
         J[:, 3:6, 0:3], J[:, 3:6, 3:6], J[:, 3:6, 6:9], J[:, 3:6, 12:15] = skew(dp), -R_start, -dt * R_start, R_start
         J[:, 6:9, 0:3], J[:, 6:9, 6:9], J[:, 6:9, 15:18] = skew(dv), -R_start, R_start
         J[:, :, 18:24] = -self.J_bias
-        J[:, 3:6, 24:], J[:, 6:9, 24:] = 0.5 * dt**2 * R_start[..., 2:], dt * R_start[..., 2:]
+        J[:, 3:6, 24:25], J[:, 6:9, 24:25] = 0.5 * dt**2 * R_start[..., 2:], dt * R_start[..., 2:]
+        J[:, 0:3, 25] = -turned
         return np.concatenate([r_rotation, moved], axis=1), J
 
 

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
+from dronevio.estimator.calibration.corrections import GRAVITY, GYRO_SCALE, Corrections
 from dronevio.estimator.calibration.imu_factor import CalibrationImuFactors
 from dronevio.estimator.calibration.projection import CalibrationObservations, CalibrationState, project
 from dronevio.estimator.calibration.window import (
@@ -147,7 +147,7 @@ class CalibrationObjective:
             keyframes: At least one keyframe, in the order of time.
             given: The calibration without corrections.
             config: Settings.
-            mean: (D,) Prior mean of the corrections, D = 2 + 10 C.
+            mean: (D,) Prior mean of the corrections, D = 3 + 10 C.
             information: (D, D) Prior information matrix of the corrections.
             estimated: (D,) Whether a correction is estimated. The prior of those that are not is independent of the
                 others.
@@ -237,14 +237,15 @@ class CalibrationObjective:
     def _imu_residuals(self, x: CalibrationEstimate) -> tuple[Array, Array]:
         """Return the residuals (F, 9) of the IMU factors and their Jacobians; see `CalibrationImuFactors`."""
         s, bias = x.state, x.bias - self.initial.bias
-        gravity_m_s2 = self.gravity_m_s2 + s.corrections.gravity_m_s2
-        return self.factors.residuals(s.R_world_imu, s.p_world_imu, s.v_world_imu, bias, gravity_m_s2)
+        gravity_m_s2, scale = self.gravity_m_s2 + s.corrections.gravity_m_s2, s.corrections.gyro_scale
+        return self.factors.residuals(s.R_world_imu, s.p_world_imu, s.v_world_imu, bias, gravity_m_s2, scale)
 
     def _add_imu_factors(self, H: Array, b: Array, x: CalibrationEstimate, n: int) -> None:
         """Add the IMU factors between consecutive keyframes."""
-        common = np.concatenate([np.arange(n - BIAS_DIM, n), n + np.flatnonzero(self.estimated == GRAVITY)])
+        of_imu = np.flatnonzero(np.isin(self.estimated, (GRAVITY, GYRO_SCALE)))
+        common = np.concatenate([np.arange(n - BIAS_DIM, n), n + of_imu])
         (r, J), states = self._imu_residuals(x), 2 * STATE_DIM
-        J = J[:, :, : states + len(common)]  # without the column of gravity if it is not estimated
+        J = J[:, :, np.r_[: states + BIAS_DIM, states + BIAS_DIM - GRAVITY + self.estimated[of_imu]]]
         weighted = np.swapaxes(J, 1, 2) @ self.factors.information
         H_factors, b_factors = weighted @ J, (weighted @ r[..., None])[..., 0]
         for i in range(len(self.factors)):

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.calibration.config import CalibratedPart, CalibrationConfig
-from dronevio.estimator.calibration.corrections import COMMON_PARAMETERS, GRAVITY, PARAMETERS_PER_CAMERA
+from dronevio.estimator.calibration.corrections import COMMON_PARAMETERS, GRAVITY, GYRO_SCALE, PARAMETERS_PER_CAMERA
 from dronevio.models.arrays import Array, Integers
 
 FIXED_SIGMA = 1e-9
@@ -29,7 +29,7 @@ class ParameterGroup:
 
 @dataclass(frozen=True, eq=False)
 class ParameterTable:
-    """All D = 2 + 10 C parameters of C cameras and of gravity, in the order of `Corrections`."""
+    """All D = 3 + 10 C parameters of C cameras, gravity and gyroscope, in the order of `Corrections`."""
 
     groups: tuple[ParameterGroup, ...]
     """The parameters that are corrected. The rotations of all cameras are one group, because a window determines the
@@ -59,6 +59,7 @@ class ParameterTable:
             position, *intrinsics = zip(np.split(rows[3:], [3, 4, 6]), parts, strict=True)
             groups += [ParameterGroup(*position), *(ParameterGroup(*part, is_intrinsic=True) for part in intrinsics)]
         sigmas = np.full(COMMON_PARAMETERS + of_camera.size, FIXED_SIGMA)
+        sigmas[GYRO_SCALE] = max(config.gyro_scale_sigma, FIXED_SIGMA)
         walk = np.zeros(len(sigmas))
         if cameras > 1:
             sigmas[of_camera[:, 3:6]] = max(config.position_sigma_m, FIXED_SIGMA)

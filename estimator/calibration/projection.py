@@ -76,7 +76,7 @@ class Projection:
     J_point: Array
     """(N, 2, 3) Jacobian by the landmark in the world frame."""
     J_corrections: Array
-    """(N, 2, 2 + 10 C) Jacobian by the vector of corrections."""
+    """(N, 2, 3 + 10 C) Jacobian by the vector of corrections."""
 
 
 def camera_poses(state: CalibrationState, observations: CalibrationObservations) -> tuple[Array, Array]:

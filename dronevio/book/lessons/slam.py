@@ -394,7 +394,7 @@ def verified_by_hand(old, new):
 # the loop. Of those before it, the most similar one is kept for comparison.
 
 # %%
-MIN_AGREEING = 12
+MIN_AGREEING = 16
 
 agreeing = np.array(
     [
