@@ -48,7 +48,7 @@ class CalibrationConfig(Settings):
     """Principal point of each camera, in units of the focal lengths."""
     radial: CalibratedPart = CalibratedPart(True, sigma=0.01, min_correction=0.005, walk=1e-6, refinement=0.1)
     """First radial coefficient of the distortion of each camera."""
-    gyro_scale_sigma: Annotated[float, Range(0.0, 0.1)] = 0.005
+    gyro_scale_sigma: Annotated[float, Range(0.0, 0.1)] = 0.003
     """Standard deviation of the gyroscope's scale, relative. It is an unknown of the adjustments that is not corrected:
     where a camera turns, a wrong scale looks like a wrong focal length."""
     min_motion_correction: Annotated[float, Range(low=0.0)] = 0.01
