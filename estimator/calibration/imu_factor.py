@@ -73,7 +73,7 @@ class CalibrationImuFactors:
         return cls(dt_s, R[:, 0], position_velocity[:, 0], J_bias, np.linalg.inv(covariance))
 
     def residuals(
-        self, R: Array, p: Array, v: Array, bias: Array, gravity_m_s2: float, gyro_scale: float = 0.0
+        self, R: Array, p: Array, v: Array, bias: Array, gravity_m_s2: float, gyro_scale: float
     ) -> tuple[Array, Array]:
         """Return the residuals (F, 9) between consecutive keyframes, and their Jacobians (F, 9, 26).
 

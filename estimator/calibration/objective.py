@@ -242,7 +242,7 @@ class CalibrationObjective:
 
     def _add_imu_factors(self, H: Array, b: Array, x: CalibrationEstimate, n: int) -> None:
         """Add the IMU factors between consecutive keyframes."""
-        of_imu = np.flatnonzero(np.isin(self.estimated, (GRAVITY, GYRO_SCALE)))
+        of_imu = np.flatnonzero(np.isin(self.estimated, (GRAVITY, GYRO_SCALE)))  # successive columns of J, too
         common = np.concatenate([np.arange(n - BIAS_DIM, n), n + of_imu])
         (r, J), states = self._imu_residuals(x), 2 * STATE_DIM
         J = J[:, :, np.r_[: states + BIAS_DIM, states + BIAS_DIM - GRAVITY + self.estimated[of_imu]]]

@@ -12,7 +12,7 @@ from dronevio.estimator.calibration import significance
 from dronevio.estimator.calibration.adjustment import AdjustmentResult
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrected_state import propagated_state
-from dronevio.estimator.calibration.corrections import Corrections
+from dronevio.estimator.calibration.corrections import GYRO_SCALE, Corrections
 from dronevio.estimator.calibration.estimate import ParameterEstimate
 from dronevio.estimator.calibration.online import CalibrationPrior, OnlineCalibration
 from dronevio.estimator.calibration.parameters import ParameterTable
@@ -139,7 +139,7 @@ def test_positions_of_the_cameras_are_not_corrected() -> None:
     positions = np.setdiff1d(np.flatnonzero(parameters.is_unknown), corrected)
     mean = np.zeros(len(parameters.sigmas))
     mean[positions] = 0.05
-    assert len(positions) == 6
+    assert len(positions) == 7  # and the scale of the gyroscope
     certain, test = 1e-8 * np.eye(len(mean)), SignificanceTest(0.0, 0.0)
     assert ParameterEstimate.prior(parameters).corrected(mean, certain, parameters, test) is None
     equal = CalibrationConfig(focal=CalibrationConfig().principal)  # settings of one part that another has, too
@@ -149,7 +149,7 @@ def test_positions_of_the_cameras_are_not_corrected() -> None:
     np.testing.assert_array_equal(of_positions, online.translation.sigma)
     one_camera = ParameterTable.of(CalibrationConfig(), 1)
     corrected = np.concatenate([group.rows for group in one_camera.groups])
-    np.testing.assert_array_equal(np.flatnonzero(one_camera.is_unknown), corrected)
+    np.testing.assert_array_equal(np.flatnonzero(one_camera.is_unknown), np.union1d(corrected, GYRO_SCALE))
 
 
 def test_one_camera_has_no_other_to_compare_with(make_flight: MakeFlight) -> None:
@@ -222,7 +222,7 @@ def test_the_corrected_state_is_that_for_the_applied_corrections(
     given, newest_given = list[Corrections](), AdjustmentResult.newest_given
 
     def recorded(found: AdjustmentResult, corrections: Array) -> NavState:
-        assert found.mean[2:5].any()
+        assert found.mean[3:6].any()
         given.append(Corrections.from_vector(corrections))
         return newest_given(found, corrections)
 

@@ -16,25 +16,25 @@ CONFIG = CalibrationConfig()
 PARAMETERS = ParameterTable.of(CONFIG, 1)
 PRIOR = ParameterEstimate.prior(PARAMETERS)
 TEST = SignificanceTest.of_window(CONFIG, 1, begins_stationary=False, is_complete=True)
-CERTAIN = 1e-14 * np.eye(12)
-EACH = np.eye(12)
+CERTAIN = 1e-14 * np.eye(13)
+EACH = np.eye(13)
 
 
 def corrections(time_offset_s: float = 0.0, x_rad: float = 0.0, gravity_m_s2: float = 0.0) -> Array:
     """Return the vector of corrections of one camera."""
-    mean = np.zeros(12)
-    mean[:3] = time_offset_s, gravity_m_s2, x_rad
+    mean = np.zeros(13)
+    mean[[0, GRAVITY, 3]] = time_offset_s, gravity_m_s2, x_rad
     return mean
 
 
-def test_all_parameters_but_the_position_of_one_camera_are_corrected() -> None:
+def test_all_parameters_but_the_gyroscope_and_the_position_of_one_camera_are_corrected() -> None:
     rows = [group.rows.tolist() for group in PARAMETERS.groups]
-    assert rows == [[0], [GRAVITY], [2, 3, 4], [8], [9, 10], [11]]
-    np.testing.assert_array_equal(np.flatnonzero(PARAMETERS.is_unknown), [0, 1, 2, 3, 4, 8, 9, 10, 11])
-    sigmas = [0.01, 0.03, 0.02, 0.02, 0.02, *[FIXED_SIGMA] * 3, 0.02, 0.01, 0.01, 0.01]
+    assert rows == [[0], [GRAVITY], [3, 4, 5], [9], [10, 11], [12]]
+    np.testing.assert_array_equal(np.flatnonzero(PARAMETERS.is_unknown), [0, 1, 2, 3, 4, 5, 9, 10, 11, 12])
+    sigmas = [0.01, 0.03, CONFIG.gyro_scale_sigma, 0.02, 0.02, 0.02, *[FIXED_SIGMA] * 3, 0.02, 0.01, 0.01, 0.01]
     np.testing.assert_allclose(PARAMETERS.sigmas, sigmas)
     np.testing.assert_allclose(PARAMETERS.limits, 5.0 * PARAMETERS.sigmas)
-    np.testing.assert_allclose(PARAMETERS.walk, [1e-5, 0.0, 1e-5, 1e-5, 1e-5, *[0.0] * 3, *[1e-6] * 4])
+    np.testing.assert_allclose(PARAMETERS.walk, [1e-5, 0.0, 0.0, *[1e-5] * 3, *[0.0] * 3, *[1e-6] * 4])
 
 
 def test_uncertainty_grows_from_window_to_window() -> None:
@@ -42,7 +42,9 @@ def test_uncertainty_grows_from_window_to_window() -> None:
     first = PRIOR.predicted(1_000_000_000, PARAMETERS.walk)
     np.testing.assert_array_equal(first.covariance, PRIOR.covariance)
     second = first.predicted(5_000_000_000, PARAMETERS.walk)
-    np.testing.assert_allclose(np.diag(second.covariance - first.covariance)[[0, 1, 2]], [4e-10, 0.0, 4e-10], rtol=1e-6)
+    np.testing.assert_allclose(
+        np.diag(second.covariance - first.covariance)[[0, 1, 2, 3]], [4e-10, 0.0, 0.0, 4e-10], rtol=1e-6
+    )
 
 
 def test_the_result_of_a_part_of_a_window_is_not_kept() -> None:
@@ -59,16 +61,16 @@ def test_the_result_of_a_part_of_a_window_is_not_kept() -> None:
 def test_what_is_not_applied_is_an_error_of_the_calibration() -> None:
     """3 mrad that are too small to be applied count, beside 4 mrad that are not known; what is applied does not."""
     covariance = PRIOR.covariance.copy()
-    covariance[2, 2] = 0.004**2
+    covariance[3, 3] = 0.004**2
     for is_complete in (False, True):
         kept = PRIOR.fused(corrections(x_rad=0.003), covariance, is_complete=is_complete)
         assert kept.corrected(kept.newest_mean, covariance, PARAMETERS, TEST) is None
-        assert kept.errors(EACH)[2] == pytest.approx(0.005)
-        np.testing.assert_allclose(kept.errors(EACH)[3:], PARAMETERS.sigmas[3:])
+        assert kept.errors(EACH)[3] == pytest.approx(0.005)
+        np.testing.assert_allclose(kept.errors(EACH)[4:], PARAMETERS.sigmas[4:])
         applied = kept.fused(corrections(x_rad=0.03), covariance, is_complete=is_complete)
         applied = applied.corrected(applied.newest_mean, covariance, PARAMETERS, TEST) or applied
-        assert applied.applied[2] == 0.03
-        assert applied.errors(EACH)[2] == pytest.approx(0.004)
+        assert applied.applied[3] == 0.03
+        assert applied.errors(EACH)[3] == pytest.approx(0.004)
 
 
 def test_a_corrected_parameter_follows_the_estimate() -> None:
@@ -76,7 +78,7 @@ def test_a_corrected_parameter_follows_the_estimate() -> None:
     first = PRIOR.corrected(corrections(time_offset_s=0.004, x_rad=0.002), CERTAIN, PARAMETERS, TEST)
     assert first is not None
     np.testing.assert_array_equal(first.applied, corrections(time_offset_s=0.004))
-    assert first.follows.tolist() == [True] + [False] * 11
+    assert first.follows.tolist() == [True] + [False] * 12
     second = first.corrected(corrections(time_offset_s=0.0041, x_rad=0.03), CERTAIN, PARAMETERS, TEST)
     assert second is not None
     np.testing.assert_array_equal(second.applied, corrections(time_offset_s=0.0041, x_rad=0.03))
@@ -96,7 +98,7 @@ def test_a_first_correction_exceeds_three_standard_deviations(sigmas: float, is_
 
 def test_intrinsics_are_corrected_by_complete_windows_only() -> None:
     mean = corrections(time_offset_s=0.004)
-    mean[[8, 9, 11]] = 0.02, 0.01, -0.01
+    mean[[9, 10, 12]] = 0.02, 0.01, -0.01
     whole, part = (
         SignificanceTest.of_window(CONFIG, 1, begins_stationary=True, is_complete=is_complete)
         for is_complete in (True, False)
@@ -133,9 +135,9 @@ def test_inflation_is_proportional_to_the_correction(change: Array, share: float
 
 
 def test_inflation_by_positions_is_whole_and_by_gravity_its_own() -> None:
-    assert inflation_share(1e-4 * np.eye(12)[5]) == 1.0
-    for row in (8, 9, 10, 11):  # focal length, principal point, radial distortion
-        assert inflation_share(0.01 * np.eye(12)[row]) == pytest.approx(0.01 / np.radians(1.0))
+    assert inflation_share(1e-4 * np.eye(13)[6]) == 1.0
+    for row in (9, 10, 11, 12):  # focal length, principal point, radial distortion
+        assert inflation_share(0.01 * np.eye(13)[row]) == pytest.approx(0.01 / np.radians(1.0))
     sigmas = np.sqrt(np.diag(covariance_inflation(corrections(gravity_m_s2=0.02), CONFIG)))
     np.testing.assert_allclose(sigmas, np.repeat(CONFIG.gravity_inflation_sigmas, 3))
 

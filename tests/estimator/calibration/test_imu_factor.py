@@ -1,5 +1,7 @@
 """The IMU factors of the calibration, against an independent integration and numerical derivatives."""
 
+from dataclasses import fields
+
 import gtsam
 import numpy as np
 import pytest
@@ -79,7 +81,7 @@ def test_measurements_agree_with_direct_integration(
 def test_jacobian_is_the_derivative_of_the_residual(factors: CalibrationImuFactors, correction_scale: float) -> None:
     """The residuals are zero where three keyframes agree with the IMU.
 
-    Their Jacobians by all 25 variables are evaluated at the biases of the preintegration, and at corrected ones.
+    Their Jacobians by all 26 variables are evaluated at the biases of the preintegration, and at corrected ones.
     """
     bias = correction_scale * np.array([1e-3, -2e-3, 1e-3, 0.02, 0.01, -0.02])
     R, p, v = [exp_so3(np.array([0.4, -0.7, 1.5]))], [np.array([0.2, 0.1, -0.3])], [np.array([1.0, -0.5, 0.3])]
@@ -91,28 +93,39 @@ def test_jacobian_is_the_derivative_of_the_residual(factors: CalibrationImuFacto
         R.append(R[-1] @ rotation)
 
     def residual(i: int, delta: Array) -> tuple[Array, Array]:
-        """Return residual and Jacobian of a factor after a change of its keyframes, the biases and gravity."""
+        """Return residual and Jacobian of a factor after a change of its keyframes, the biases, gravity and scale."""
         R_changed, p_changed, v_changed = np.stack(R), np.stack(p), np.stack(v)
         rotation, position, velocity = np.swapaxes(delta[:18].reshape(2, 3, 3), 0, 1)
         R_changed[i : i + 2] = R_changed[i : i + 2] @ exp_so3(rotation)
         p_changed[i : i + 2] += position
         v_changed[i : i + 2] += velocity
-        r, J = factors.residuals(R_changed, p_changed, v_changed, bias + delta[18:24], GRAVITY_M_S2 + delta[24])
+        gravity_m_s2, scale = GRAVITY_M_S2 + delta[24], delta[25]
+        r, J = factors.residuals(R_changed, p_changed, v_changed, bias + delta[18:24], gravity_m_s2, scale)
         return r[i], J[i]
 
     h = 1e-6
     for i in range(len(factors)):
-        r, J = residual(i, np.zeros(25))
+        r, J = residual(i, np.zeros(26))
         if correction_scale == 0.0:
             np.testing.assert_allclose(r, 0.0, atol=1e-12)
-        steps = h * np.eye(25)
+        steps = h * np.eye(26)
         expected = np.stack([(residual(i, e)[0] - residual(i, -e)[0]) / (2.0 * h) for e in steps], axis=1)
         np.testing.assert_allclose(J, expected, atol=1e-3)
+
+
+def test_a_scale_of_the_gyroscope_explains_rates_that_are_larger(factors: CalibrationImuFactors) -> None:
+    """A rotation that is larger by 2 % about its axis agrees with the IMU if the scale is."""
+    R = np.stack([np.eye(3), exp_so3(1.02 * log_so3(factors.rotation[0]))])
+    one = CalibrationImuFactors(*(getattr(factors, each.name)[:1] for each in fields(factors)))
+    states = R, np.zeros((2, 3)), np.zeros((2, 3))
+    unscaled, scaled = (one.residuals(*states, np.zeros(6), GRAVITY_M_S2, scale)[0][0, :3] for scale in (0.0, 0.02))
+    assert np.linalg.norm(unscaled) > 1e-3
+    np.testing.assert_allclose(scaled, 0.0, atol=1e-12)
 
 
 def test_no_factors() -> None:
     """A single keyframe has no factor."""
     factors = CalibrationImuFactors.from_preintegrated([], np.zeros(6), [])
-    r, J = factors.residuals(np.eye(3)[None], np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(6), GRAVITY_M_S2)
+    r, J = factors.residuals(np.eye(3)[None], np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(6), GRAVITY_M_S2, 0.0)
     assert len(factors) == 0
-    assert (r.shape, J.shape) == ((0, 9), (0, 9, 25))
+    assert (r.shape, J.shape) == ((0, 9), (0, 9, 26))

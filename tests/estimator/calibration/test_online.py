@@ -35,7 +35,7 @@ MakeFlight = Callable[..., "SyntheticFlight"]
 ROTATION_RAD = np.radians([0.6, -0.5, 0.7])
 TRANSLATION_M = np.array([0.01, -0.008, 0.006])
 ON, OFF = CalibratedPart(True, 0.5, 0.0, 0.0), CalibratedPart(False, 0.02, 0.0, 0.0)
-ALL_OFF = CalibrationConfig(OFF, OFF, OFF, OFF, OFF, OFF, OFF)
+ALL_OFF = CalibrationConfig(OFF, OFF, OFF, OFF, OFF, OFF, OFF, gyro_scale_sigma=0.0)
 HOVER = {"positions_m": np.zeros((3, 2)), "angles_rad": np.zeros((3, 2))}
 NO_ROTATION = {"angles_rad": np.zeros((3, 2))}
 
@@ -52,6 +52,8 @@ class Errors:
     """(3,) True displacement of the camera in the IMU frame [m]."""
     model: Callable[[CameraModel], CameraModel] = lambda model: model
     """The true camera model from the assumed one."""
+    gyro_scale: float = 1.0
+    """Scale of the rates that the gyroscope measures."""
     state_sigma: float = 0.0
     """Standard deviation of the orientation of the states [rad], and a fifth of that of the velocity [m/s]."""
 
@@ -79,7 +81,7 @@ def keyframes(
 ) -> Iterator[Keyframe]:
     """Yield the keyframes of a flight with its true rig, normalized by the assumed calibration and gravity."""
     front_end, buffer = replace(flight, rig=errors.true_rig(flight.rig)).front_end(), ImuBuffer()
-    buffer.add(flight.imu)
+    buffer.add(replace(flight.imu, gyro_rad_s=errors.gyro_scale * flight.imu.gyro_rad_s))
     params, rng = PreintegrationParams.of(flight.rig.imu, PreintegrationConfig()), np.random.default_rng(0)
     for index in range(0, len(flight.frame_times_ns) - 1, 4):
         t_ns = int(flight.frame_times_ns[index])
@@ -162,6 +164,23 @@ def test_intrinsics_are_found(noiseless: "SyntheticFlight") -> None:
     np.testing.assert_allclose(corrected.xy, expected, atol=2e-3)
 
 
+def test_a_wrong_scale_of_the_gyroscope_is_not_taken_for_a_focal_length(noiseless: "SyntheticFlight") -> None:
+    """It is where it is known; with a prior of its own, a part of it is ascribed to it, and the rest is not certain."""
+    errors, known = Errors(gyro_scale=1.01), replace(CalibrationConfig(), gyro_scale_sigma=0.0)
+    fooled, free = (calibrated(noiseless, config, errors) for config in (known, CalibrationConfig()))
+    assert abs(fooled.applied.focal[0, 0]) > 0.005
+    assert not free.applied.focal.any()
+    assert free.estimate.gyro_scale < 0.0
+    assert free.sigmas.focal[0, 0] > fooled.sigmas.focal[0, 0]
+
+
+def test_the_scale_of_a_gyroscope_is_found(noiseless: "SyntheticFlight") -> None:
+    """Where the camera is known."""
+    found = calibrated(noiseless, replace(ALL_OFF, time_offset=ON, gyro_scale_sigma=0.05), Errors(gyro_scale=1.02))
+    assert found.estimate.gyro_scale == pytest.approx(1.0 / 1.02 - 1.0, abs=2e-3)
+    assert found.applied.gyro_scale == 0.0
+
+
 def test_translation_of_the_camera_is_found(noiseless: "SyntheticFlight") -> None:
     found = calibrated(noiseless, replace(ALL_OFF, translation=ON), Errors(translation_m=TRANSLATION_M))
     np.testing.assert_allclose(found.estimate.translation_m[0], TRANSLATION_M, atol=1e-3)
@@ -222,11 +241,11 @@ def test_the_state_given_corrections_is_that_of_their_problem(make_flight: MakeF
     ]
     config = AdjustmentConfig(iterations=20, max_decrement=1e-10)
     calibration = Calibration(flight.rig)
-    estimated, prior = np.isin(np.arange(12), [0, 2, 3, 4]), np.diag(np.repeat([1e4, 2.5e3], [2, 10]))
+    estimated, prior = np.isin(np.arange(13), [0, 3, 4, 5]), np.diag(np.repeat([1e4, 2.5e3], [3, 10]))
 
     def adjusted(mean: Array, information: Array) -> AdjustmentResult:
         objective = CalibrationObjective.of(
-            window, calibration, config, mean, information, estimated, GRAVITY_M_S2, initial=np.zeros(12)
+            window, calibration, config, mean, information, estimated, GRAVITY_M_S2, initial=np.zeros(13)
         )
         problem = CalibrationProblem(objective, config, window[-1].state.t_ns)
         while not problem.is_done:
@@ -234,9 +253,9 @@ def test_the_state_given_corrections_is_that_of_their_problem(make_flight: MakeF
         assert problem.result is not None
         return problem.result
 
-    free = adjusted(np.zeros(12), prior)
+    free = adjusted(np.zeros(13), prior)
     other = free.mean.copy()
-    other[2:5] += np.radians([0.0, 0.1, 0.0])
+    other[3:6] += np.radians([0.0, 0.1, 0.0])
     known = adjusted(other, prior + 1e14 * np.diag(estimated.astype(float)))
     np.testing.assert_allclose(known.mean, other, atol=1e-7)
     given, before, after = free.newest_given(other), free.newest, known.newest

@@ -70,7 +70,7 @@ class Problem:
 
 def corrections(time_offset_s: float = 0.0, gravity_m_s2: float = 0.0, cameras: int = 1) -> Array:
     """Return the vector of corrections."""
-    return np.asarray(np.r_[time_offset_s, gravity_m_s2, np.zeros(10 * cameras)], np.float64)
+    return np.asarray(np.r_[time_offset_s, gravity_m_s2, 0.0, np.zeros(10 * cameras)], np.float64)
 
 
 def fed(
