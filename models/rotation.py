@@ -7,12 +7,16 @@ interpolates quaternions.
 Reference: Solà, Deray, Atchuthan, "A micro Lie theory for state estimation in robotics", 2018 (eq. 132 and 145).
 """
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.arrays import Array
 
 _IDENTITY = np.eye(3)
+_SKEW = np.array([[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], np.float64)
+_TINY_ANGLE_RAD = 1e-150  # keeps sin(x) / x finite
 _SMALL_ANGLE_RAD = 1e-7  # below it, the first terms of the series are exact to double precision
 
 
@@ -41,27 +45,57 @@ def cross(a: Array, b: Array) -> Array:
 def exp_so3(phi_rad: Array) -> Array:
     """Return the rotation matrices (…, 3, 3) of rotation vectors (…, 3) [rad].
 
-    Rodrigues' formula I + a [φ]× + b [φ]×², in which [φ]×² = φ φᵀ − |φ|² I.
+    Rodrigues' formula cos|φ| I + a [φ]× + b φ φᵀ, with a = sin|φ| / |φ| and b = (1 − cos|φ|) / |φ|² by half the angle.
     """
     phi = np.asarray(phi_rad, dtype=np.float64)
-    angle = np.sqrt(np.add.reduce(phi * phi, axis=-1))[..., None, None]
-    small = angle < _SMALL_ANGLE_RAD
-    safe = np.where(small, 1.0, angle)
-    a = np.where(small, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
-    b = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
-    return np.asarray((1.0 - b * angle**2) * _IDENTITY + a * skew(phi) + b * phi[..., :, None] * phi[..., None, :])
+    if phi.ndim == 1:  # several times as fast without arrays
+        x, y, z = phi.tolist()
+        half = 0.5 * math.sqrt(x * x + y * y + z * z)
+        sine, cosine = math.sin(half), math.cos(half)
+        ratio = sine / half if half else 1.0
+        a, b, c = ratio * cosine, 0.5 * ratio * ratio, 1.0 - 2.0 * sine * sine
+        return np.array(
+            [
+                [c + b * x * x, b * x * y - a * z, b * x * z + a * y],
+                [b * x * y + a * z, c + b * y * y, b * y * z - a * x],
+                [b * x * z - a * y, b * y * z + a * x, c + b * z * z],
+            ]
+        )
+    halves = np.maximum(0.5 * np.sqrt(np.add.reduce(phi * phi, axis=-1, keepdims=True)), _TINY_ANGLE_RAD)
+    sines = np.sin(halves)
+    ratios = sines / halves
+    R = (0.5 * ratios * ratios * phi)[..., :, None] * phi[..., None, :]
+    R += ((ratios * np.cos(halves) * phi) @ _SKEW + (1.0 - 2.0 * sines * sines) * _IDENTITY.ravel()).reshape(R.shape)
+    return R
+
+
+def cumulative_rotations(steps: Array) -> Array:
+    """Return the products (…, N, 3, 3) of the first 1, 2, …, N of sequences of rotations (…, N, 3, 3).
+
+    The sequences are divided into √N blocks: products within all blocks at once, then products of the blocks. This
+    takes 2 √N operations on large arrays instead of N on small ones.
+    """
+    *runs, n = steps.shape[:-2]
+    length = int(np.ceil(np.sqrt(n)))
+    blocks = -(-n // max(length, 1))
+    products = np.empty((*runs, blocks * length, 3, 3))
+    products[..., :n, :, :], products[..., n:, :, :] = steps, _IDENTITY
+    products = products.reshape(*runs, blocks, length, 3, 3)
+    for i in range(1, length):
+        products[..., i, :, :] = products[..., i - 1, :, :] @ products[..., i, :, :]
+    for block in range(1, blocks):
+        products[..., block, :, :, :] = products[..., block - 1, -1:, :, :] @ products[..., block, :, :, :]
+    return products.reshape(*runs, blocks * length, 3, 3)[..., :n, :, :]
 
 
 def integrated_rotations(phi_rad: Array) -> Array:
-    """Return the products (N + 1, 3, 3) of the rotations of N successive rotation vectors (N, 3) [rad].
+    """Return the products (…, N + 1, 3, 3) of the rotations of N successive rotation vectors (…, N, 3) [rad].
 
     The first is the identity; row k is exp(φ₀) exp(φ₁) … exp(φₖ₋₁), the rotation over the first k increments of a
     gyroscope.
     """
-    R = np.empty((len(phi_rad) + 1, 3, 3))
-    R[0] = np.eye(3)
-    for k, step in enumerate(exp_so3(phi_rad)):
-        R[k + 1] = R[k] @ step
+    R = np.empty((*phi_rad.shape[:-2], phi_rad.shape[-2] + 1, 3, 3))
+    R[..., 0, :, :], R[..., 1:, :, :] = _IDENTITY, cumulative_rotations(exp_so3(phi_rad))
     return R
 
 

@@ -17,6 +17,7 @@ from dronevio.estimator.backend.marginal_prior import STATE_DIM, KeyframeState, 
 from dronevio.estimator.backend.observations import ObservationTable
 from dronevio.estimator.types import Calibration
 from dronevio.models.arrays import Array
+from dronevio.models.rotation import cross
 
 
 def recalibrated_observations(
@@ -69,7 +70,7 @@ def image_velocity(
     """
     R_world_imu, T = state.pose.rotation().matrix(), Ts_imu_cam[observations.camera]
     R_imu_cam, p_imu_cam = T[:, :3, :3], T[:, :3, 3]
-    velocity = np.einsum("nji,nj->ni", R_imu_cam, R_world_imu.T @ state.velocity + np.cross(rate_rad_s, p_imu_cam))
+    velocity = np.einsum("nji,nj->ni", R_imu_cam, R_world_imu.T @ state.velocity + cross(rate_rad_s, p_imu_cam))
     rate = np.einsum("nji,j->ni", R_imu_cam, rate_rad_s)
     inverse_depth = np.full(len(observations), np.nan)
     known = np.isin(observations.landmark, landmarks.ids)
@@ -80,7 +81,7 @@ def image_velocity(
     is_finite = np.isfinite(inverse_depth)
     inverse_depth[~is_finite] = np.median(inverse_depth[is_finite]) if is_finite.any() else 0.0
     rays = np.column_stack([observations.xy, np.ones(len(observations))])
-    of_rays = -np.cross(rate, rays) - velocity * inverse_depth[:, None]
+    of_rays = -cross(rate, rays) - velocity * inverse_depth[:, None]
     return np.asarray(of_rays[:, :2] - rays[:, :2] * of_rays[:, 2:])
 
 

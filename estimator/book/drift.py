@@ -26,7 +26,7 @@ from dronevio.estimator.imu.covariance import propagate_covariance
 from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel
 from dronevio.models.progress import Progress, silent
-from dronevio.models.rotation import exp_so3
+from dronevio.models.rotation import cumulative_rotations, exp_so3
 
 GRAVITY_WORLD_M_S2 = np.array([0.0, 0.0, -GRAVITY_M_S2])
 """(3,) Gravity in the world frame [m/s²]."""
@@ -157,25 +157,6 @@ def dead_reckoning(flight: LoopFlight, gyro_rad_s: Array, accel_m_s2: Array) -> 
     velocity = start.velocity_m_s + np.cumsum(accel_world * dt_s, axis=1)
     # The mean of the velocities at both ends: v dt + ½ a dt², with the velocity v at the start of the interval
     return np.asarray(start.p_world_imu + np.cumsum((velocity - 0.5 * dt_s * accel_world) * dt_s, axis=1))
-
-
-def cumulative_rotations(steps: Array) -> Array:
-    """Return the products (R, N, 3, 3) of the first 1, 2, …, N of R sequences of rotations (R, N, 3, 3).
-
-    The sequences are divided into √N blocks: products within all blocks at once, then products of the blocks. This
-    takes 2 √N operations on large arrays instead of N on small ones.
-    """
-    runs, n = steps.shape[:2]
-    length = int(np.ceil(np.sqrt(n)))
-    blocks = -(-n // length)
-    products = np.broadcast_to(np.eye(3), (runs, blocks * length, 3, 3)).copy()
-    products[:, :n] = steps
-    products = products.reshape(runs, blocks, length, 3, 3)
-    for i in range(1, length):
-        products[:, :, i] = products[:, :, i - 1] @ products[:, :, i]
-    for block in range(1, blocks):
-        products[:, block] = products[:, block - 1, -1:] @ products[:, block]
-    return products.reshape(runs, -1, 3, 3)[:, :n]
 
 
 def predicted_covariance(

@@ -20,7 +20,7 @@ from dronevio.estimator.types import Calibration, Observations, common_rows
 from dronevio.models.arrays import Array, Integers
 from dronevio.models.imu import Times
 from dronevio.models.rig import Rig
-from dronevio.models.rotation import exp_so3, log_so3
+from dronevio.models.rotation import cross, exp_so3, log_so3
 from dronevio.models.state import CameraFrame
 
 STEP_S = 0.04
@@ -168,18 +168,18 @@ def relative_rotation(xy_first: Array, xy_second: Array) -> tuple[Array, float]:
 
 def _refined(first: Array, second: Array, R: Array, weights: Array) -> tuple[Array, Array, float]:
     """Return the rotation (3, 3) of bearings (N, 3), the Hessian (5, 5) of it and of the translation, and the scale."""
-    normals = np.cross(first, second @ R.T)
+    normals = cross(first, second @ R.T)
     t = np.linalg.eigh((weights[:, None] * normals).T @ normals)[1][:, 0]
     H, scale = np.eye(5), np.inf
     for _ in range(ITERATIONS):
         turned = second @ R.T
-        across_first, across_second = np.cross(t, first), np.cross(t, turned)
+        across_first, across_second = cross(t, first), cross(t, turned)
         length = np.sqrt(0.5 * ((across_first**2).sum(axis=1) + (across_second**2).sum(axis=1)) + MIN_SINE**2)
-        normals = np.cross(first, turned) / length[:, None]
+        normals = cross(first, turned) / length[:, None]
         residual = normals @ t
         tangents = np.linalg.svd(t[None])[2][1:].T
         # By a rotation of the second view, n = f × Exp(δ) R g: ∂(t·n)/∂δ = −(t × f) × R g
-        by_rotation = -np.cross(across_first, turned) / length[:, None]
+        by_rotation = -cross(across_first, turned) / length[:, None]
         J = np.column_stack([by_rotation, normals @ tangents])
         scale = max(1.4826 * float(np.median(np.abs(residual))), _MIN_SCALE_RAD)
         weights = 1.0 / (1.0 + (residual / (2.0 * scale)) ** 2) ** 2

@@ -17,6 +17,7 @@ from dronevio.estimator.initialization.gauge import BiasPrior
 from dronevio.estimator.initialization.robust import robust_weights
 from dronevio.estimator.initialization.views import WindowMeasurements
 from dronevio.models.arrays import Array, Integers
+from dronevio.models.rotation import cross
 
 PAIR_S = 0.3
 """Time between the views of a pair [s]. It is long enough for a parallax, and most tracks are longer."""
@@ -100,7 +101,7 @@ def _normals(
     def normals(gyro_bias_rad_s: Array) -> Array:
         R = measured.imu.rotations(gyro_bias_rad_s)
         R_first_second = np.swapaxes(R[first], 1, 2) @ R[second]
-        return np.cross(of_first, of_second @ np.swapaxes(R_first_second, 1, 2))
+        return cross(of_first, of_second @ np.swapaxes(R_first_second, 1, 2))
 
     return normals
 

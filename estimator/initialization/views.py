@@ -12,7 +12,7 @@ import numpy.typing as npt
 from dronevio.estimator.imu.buffer import Increments, joined
 from dronevio.estimator.types import FramePacket
 from dronevio.models.arrays import Array, Integers
-from dronevio.models.rotation import integrated_rotations
+from dronevio.models.rotation import cross, integrated_rotations
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +144,7 @@ class WindowMeasurements:
         rays = self.bearings @ np.swapaxes(self.imu.rotations(gyro_bias_rad_s), 1, 2)
         first, last = observed.argmax(axis=0), len(observed) - 1 - observed[::-1].argmax(axis=0)
         columns = np.arange(len(self.tracks))
-        sines = np.linalg.norm(np.cross(rays[first, columns], rays[last, columns]), axis=1)
+        sines = np.linalg.norm(cross(rays[first, columns], rays[last, columns]), axis=1)
         return float(np.median(np.arcsin(np.minimum(sines, 1.0))))
 
 

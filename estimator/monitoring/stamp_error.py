@@ -22,6 +22,7 @@ from dronevio.estimator.monitoring.innovation import Innovation
 from dronevio.estimator.optimization.linear_fit import median
 from dronevio.models.arrays import Array
 from dronevio.models.ranges import Range, Settings
+from dronevio.models.rotation import cross
 from dronevio.models.state import NavState
 
 MEDIAN_CHI2_1DOF = 0.4549
@@ -192,7 +193,7 @@ def exposure_error(innovation: Innovation, predicted: NavState, angular_velocity
         The time and its standard deviation [s].
     """
     R, J = innovation.R_world_imu, innovation.J_imu
-    velocity = -np.cross(angular_velocity_rad_s, innovation.in_imu) - predicted.velocity_m_s @ R
+    velocity = -cross(angular_velocity_rad_s, innovation.in_imu) - predicted.velocity_m_s @ R
     flow = J[..., 0] * velocity[:, :1] + J[..., 1] * velocity[:, 1:2] + J[..., 2] * velocity[:, 2:]
     found = innovation.fit(innovation.uncertainty.rotation_variance, flow[..., None])
     return float(found.solution[6]), float(np.sqrt(found.covariance[6, 6]))
