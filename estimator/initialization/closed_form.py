@@ -126,7 +126,7 @@ def solve_closed_form(measured: WindowMeasurements, gyro_bias: Array, weights: A
         weights: (F,) Weights of the landmarks by earlier tests, 0 to 1.
         noise: Assumptions on the measurements.
     """
-    geometry = ViewGeometry.of(measured.imu.integrated(gyro_bias), measured.Ts_imu_cam)
+    geometry = ViewGeometry.of(measured.imu.integrated(gyro_bias).motion(), measured.Ts_imu_cam)
     system, freedom = LinearSystem.of(measured, geometry), measured.tracks.degrees_of_freedom
     reliable = weights >= min(INLIER_WEIGHT, float(weights.max()))
     robust, depth_m, y = weights, np.ones(len(weights)), np.zeros(10)

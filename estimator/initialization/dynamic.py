@@ -163,14 +163,14 @@ def initialize_dynamic(
     try:
         initial = solve_closed_form(measured, rotation.bias_rad_s, rotation.weights, noise)
         refined = refine(measured, initial, gyro_bias, noise)
-        free = refine(measured, refined.state, gyro_bias, noise, TIME_OFFSET_SIGMA_S)
+        state = refined.state
+        motion = measured.imu.integrated(state.gyro_bias).motion()
+        reason = _reason_against(refined, cause, motion, stereo, accel_bias.sigma, c)
+        if reason is not None:
+            return reason
+        free = refine(measured, state, gyro_bias, noise, TIME_OFFSET_SIGMA_S)
     except np.linalg.LinAlgError:
         return NotObservable("no motion explains images and IMU together", cause)
-    state = refined.state
-    motion = measured.imu.integrated(state.gyro_bias)
-    reason = _reason_against(refined, cause, motion, stereo, accel_bias.sigma, c)
-    if reason is not None:
-        return reason
     R_world_imu = level_rotation(-state.gravity)
     pose, velocity = pose_matrix(R_world_imu, np.zeros(3)), R_world_imu @ state.velocity
     start = NavState(window[0].t_ns, pose, velocity, state.gyro_bias, state.accel_bias)

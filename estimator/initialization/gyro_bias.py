@@ -8,7 +8,6 @@ visual-inertial initialization", CVPR 2023). Neither velocity nor gravity nor sc
 from any plausible initial value.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +26,6 @@ CONVERGED_RAD_S = 3e-4
 """Change of the bias below which the iteration ends [rad/s]; the refinement of the whole state continues from there."""
 CONVERGED_WEIGHT = 0.01
 """Mean change of the weights below which the iteration ends."""
-_DIFFERENCE_RAD_S = 1e-4  # step of the numeric derivatives
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,24 +56,27 @@ def epipolar_gyro_bias(
     """
     tracks = measured.tracks
     bias, weights, information = prior.mean, np.ones(len(tracks)), np.eye(3) / prior.sigma**2
-    first, second = _pairs(tracks.camera, measured.imu.integrated(bias).t_s)
+    first, second = _pairs(tracks.camera, measured.imu.integrated(bias).motion().t_s)
     both = tracks.observed[first] & tracks.observed[second]
     if not both.any():
         return EpipolarSolution(bias, weights, 0.0, 0.0)
     count = both.sum(axis=0)
     squares = np.zeros(len(tracks))
-    normals_at = _normals(measured, first, second, sigma_rad)
+    bearings = measured.bearings / np.sqrt(np.sqrt(2.0) * sigma_rad)  # both bearings of a normal have errors
     for _ in range(MAX_ITERATIONS):
-        normals = normals_at(bias)
+        # Normals of the epipolar planes (P, F, 3), in standard deviations
+        imu = measured.imu.integrated(bias)
+        R_first = np.swapaxes(imu.rotations[first], 1, 2)
+        turned = bearings[second] @ np.swapaxes(R_first @ imu.rotations[second], 1, 2)
+        normals = cross(bearings[first], turned)
         directions = _translations(normals, weights * both)
         residuals = np.einsum("pfi,pi->pf", normals, directions[:, :, 0])
         squares = (residuals**2 * both).sum(axis=0) / np.maximum(count, 1)
         previous, weights = weights, robust_weights(squares, outlier_sigmas, count > 0)
-        by_bias = [
-            np.einsum("pfi,pi->pf", normals_at(bias + step) - normals, directions[:, :, 0]) / _DIFFERENCE_RAD_S
-            for step in _DIFFERENCE_RAD_S * np.eye(3)
-        ]
-        H, h = _reduced(normals @ directions[:, :, 1:], np.stack(by_bias, axis=-1), residuals, weights * both)
+        # The second view turns by C δ: t · (f₁ × (C δ × R f₂)) = (R f₂ × (t × f₁)) · C δ
+        C = R_first @ (imu.rotations_by_gyro_bias[second] - imu.rotations_by_gyro_bias[first])
+        by_bias = cross(turned, cross(directions[:, None, :, 0], bearings[first])) @ C
+        H, h = _reduced(normals @ directions[:, :, 1:], by_bias, residuals, weights * both)
         step = -np.linalg.solve(H + information, h + information @ (bias - prior.mean))
         bias = bias + step
         if np.linalg.norm(step) < CONVERGED_RAD_S and np.abs(weights - previous).mean() < CONVERGED_WEIGHT:
@@ -89,21 +90,6 @@ def _pairs(camera: Integers, t_s: Array) -> tuple[Integers, Integers]:
     seconds = (t_s[None] - t_s[:, None] >= PAIR_S - 1e-3) & (camera[None] == camera[:, None])
     first = np.flatnonzero(seconds.any(axis=1))
     return first, seconds[first].argmax(axis=1)
-
-
-def _normals(
-    measured: WindowMeasurements, first: Integers, second: Integers, sigma_rad: float
-) -> Callable[[Array], Array]:
-    """Return the function of the bias that yields the normals (P, F, 3) of epipolar planes, in standard deviations."""
-    bearings = measured.bearings / np.sqrt(np.sqrt(2.0) * sigma_rad)  # both bearings of a normal have errors
-    of_first, of_second = bearings[first], bearings[second]
-
-    def normals(gyro_bias_rad_s: Array) -> Array:
-        R = measured.imu.rotations(gyro_bias_rad_s)
-        R_first_second = np.swapaxes(R[first], 1, 2) @ R[second]
-        return cross(of_first, of_second @ np.swapaxes(R_first_second, 1, 2))
-
-    return normals
 
 
 def _translations(normals: Array, weights: Array) -> Array:

@@ -19,11 +19,12 @@ from dronevio.estimator.initialization.closed_form import (
 )
 from dronevio.estimator.initialization.gauge import BiasPrior
 from dronevio.estimator.initialization.robust import INLIER_WEIGHT, robust_scale
-from dronevio.estimator.initialization.views import WindowMeasurements
+from dronevio.estimator.initialization.views import IntegratedImu, WindowMeasurements
 from dronevio.estimator.optimization.gauss_newton import gauss_newton
 from dronevio.estimator.optimization.linalg import LUFactor
 from dronevio.estimator.optimization.robust import geman_mcclure_loss, geman_mcclure_weight
 from dronevio.models.arrays import Array
+from dronevio.models.rotation import skew
 
 STEPS = 4
 """Number of Gauss-Newton steps."""
@@ -31,8 +32,7 @@ KNOWN_SIGMA_S = 1e-9
 """Standard deviation of a time offset that is known [s]."""
 _STATE = 12  # velocity, gravity on the sphere, accelerometer bias, gyroscope bias, time offset
 _ACCEL_BIAS, _GYRO_BIAS, _TIME_OFFSET = slice(5, 8), slice(8, 11), 11
-_DIFFERENCE_RAD_S = 1e-4  # step of the numeric derivatives by the gyroscope bias
-_DIFFERENCE_S = 0.0025  # least step of those by the time offset
+_DIFFERENCE_S = 0.0025  # least step of the numeric derivatives by the time offset
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,16 +139,17 @@ class RefinementObjective:
 
     def initial(self, state: WindowState) -> RefinementEstimate:
         """Return the variables for a state, with the landmarks that agree best with it."""
-        geometry = _geometry(self.measured, state.gyro_bias)
+        geometry = ViewGeometry.of(self.measured.imu.integrated(state.gyro_bias).motion(), self.measured.Ts_imu_cam)
         return RefinementEstimate(state, LinearSystem.of(self.measured, geometry).B @ state.y)
 
     def linearize(self, x: RefinementEstimate) -> RefinementEquations:
         """Return the normal equations at some variables."""
         measured, tracks, state, landmarks = self.measured, self.measured.tracks, x.state, x.landmarks
         # Residuals and their Jacobians, one block of 2V rows per landmark
-        geometry = _geometry(measured, state.gyro_bias)
-        at_frames, by_offset = geometry.in_cameras(landmarks, state.y), _by_time_offset(measured, state, landmarks)
-        in_cameras = at_frames + state.time_offset_s * by_offset
+        imu = measured.imu.integrated(state.gyro_bias)
+        geometry = ViewGeometry.of(imu.motion(), measured.Ts_imu_cam)
+        by_offset = _by_time_offset(imu, measured, state, landmarks)
+        in_cameras = geometry.in_cameras(landmarks, state.y) + state.time_offset_s * by_offset
         residuals, z, xy = self._residuals(in_cameras)
         projection = np.zeros((*tracks.observed.shape, 2, 3))
         projection[..., 0, 0] = projection[..., 1, 1] = 1.0
@@ -156,11 +157,8 @@ class RefinementObjective:
         projection *= (tracks.observed[..., None] / self.noise.xy_sigma / z)[..., None]
         J_landmark = projection @ np.swapaxes(geometry.R_first_cam, 1, 2)[:, None]
         J_linear = J_landmark @ (geometry.Q[..., :9] @ _tangents(state))[:, None]
-        by_bias = [
-            (_geometry(measured, state.gyro_bias + step).in_cameras(landmarks, state.y) - at_frames) / _DIFFERENCE_RAD_S
-            for step in _DIFFERENCE_RAD_S * np.eye(3)
-        ]
-        J_others = projection @ np.stack([*by_bias, by_offset], axis=-1)
+        by_bias = _by_gyro_bias(imu, geometry, measured.Ts_imu_cam, landmarks, state.y)
+        J_others = projection @ np.concatenate([by_bias, by_offset[..., None]], axis=-1)
         J = np.concatenate([J_landmark, J_linear, J_others, residuals[..., None]], axis=-1)
         J = np.moveaxis(J, 1, 0).reshape(len(tracks), -1, J.shape[-1])
         # Elimination of the landmarks
@@ -179,8 +177,9 @@ class RefinementObjective:
     def cost(self, x: RefinementEstimate, scale: float) -> float:
         """Return the negative logarithm of the posterior density at a given scale, up to a constant."""
         state, tracks = x.state, self.measured.tracks
-        in_cameras = _geometry(self.measured, state.gyro_bias).in_cameras(x.landmarks, state.y)
-        in_cameras = in_cameras + state.time_offset_s * _by_time_offset(self.measured, state, x.landmarks)
+        imu = self.measured.imu.integrated(state.gyro_bias)
+        in_cameras = ViewGeometry.of(imu.motion(), self.measured.Ts_imu_cam).in_cameras(x.landmarks, state.y)
+        in_cameras = in_cameras + state.time_offset_s * _by_time_offset(imu, self.measured, state, x.landmarks)
         losses = geman_mcclure_loss(self._squares(self._residuals(in_cameras)[0]), scale)
         error, variance = self._prior_error(state)
         counts = tracks.degrees_of_freedom / tracks.observed.sum(axis=0)
@@ -208,13 +207,20 @@ class RefinementObjective:
         return error, variance
 
 
-def _geometry(measured: WindowMeasurements, gyro_bias: Array) -> ViewGeometry:
-    return ViewGeometry.of(measured.imu.integrated(gyro_bias), measured.Ts_imu_cam)
+def _by_gyro_bias(imu: IntegratedImu, geometry: ViewGeometry, Ts_imu_cam: Array, landmarks: Array, y: Array) -> Array:
+    """Return the derivatives (V, F, 3, 3) of the positions in the cameras by the gyroscope bias.
+
+    The rotation of a view changes by A δ, its position by that of dp and of the lever of the camera. The product with
+    the accelerometer bias is left out.
+    """
+    from_imu = landmarks + (geometry.Q @ y + (imu.rotations @ Ts_imu_cam[:, :3, 3:])[..., 0])[:, None]
+    by_bias = skew(from_imu) @ imu.rotations_by_gyro_bias[:, None] - imu.dp_by_gyro_bias[:, None]
+    return np.asarray(np.swapaxes(geometry.R_first_cam, 1, 2)[:, None] @ by_bias)
 
 
-def _by_time_offset(measured: WindowMeasurements, state: WindowState, landmarks: Array) -> Array:
+def _by_time_offset(imu: IntegratedImu, measured: WindowMeasurements, state: WindowState, landmarks: Array) -> Array:
     """Return the derivatives (V, F, 3) of the positions in the cameras by the time of the exposures [m/s]."""
-    earlier, later = (measured.imu.integrated(state.gyro_bias, shift) for shift in (-_DIFFERENCE_S, _DIFFERENCE_S))
+    earlier, later = (imu.motion(shift_s) for shift_s in (-_DIFFERENCE_S, _DIFFERENCE_S))
     before, after = (
         ViewGeometry.of(motion, measured.Ts_imu_cam).in_cameras(landmarks, state.y) for motion in (earlier, later)
     )

@@ -5,6 +5,7 @@ A view is one camera in one frame of the window. Positions and rotations are in 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +13,7 @@ import numpy.typing as npt
 from dronevio.estimator.imu.buffer import Increments, joined
 from dronevio.estimator.types import FramePacket
 from dronevio.models.arrays import Array, Integers
-from dronevio.models.rotation import cross, integrated_rotations
+from dronevio.models.rotation import cross, integrated_rotations, skew
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +54,74 @@ class Motion:
     """(V, 3, 3) Derivatives of `dp` by the accelerometer bias [s²]."""
 
 
+@dataclass(frozen=True, eq=False)
+class IntegratedImu:
+    """The N increments of a window integrated with a gyroscope bias, and zero accelerometer bias.
+
+    Views are at the nearest samples.
+    """
+
+    increments: Increments
+    """The N increments, biases included."""
+    t_s: Array
+    """(N + 1,) Times since the first frame [s]."""
+    R: Array
+    """(N + 1, 3, 3) Rotations R_first_sample of the IMU."""
+    rows: Integers
+    """(V,) Samples of the views."""
+
+    @property
+    def rotations(self) -> Array:
+        """(V, 3, 3) Rotations R_first_view of the IMU."""
+        return np.asarray(self.R[self.rows])
+
+    def motion(self, shift_s: float = 0.0) -> Motion:
+        """Return the motion from the first frame to each view.
+
+        Args:
+            shift_s: How much later than the views the motion is wanted at least, or earlier where it is negative [s];
+                it ends with the window.
+        """
+        rows = self._shifted(shift_s)
+        return Motion(self.t_s[rows], self.R[rows], self._dp[rows], self._dp_by_accel_bias[rows])
+
+    @cached_property
+    def rotations_by_gyro_bias(self) -> Array:
+        """(V, 3, 3) Derivatives A of the rotations by the gyroscope bias [s]: R(b + δ) ≈ Exp(A δ) R(b)."""
+        return np.asarray(self._R_by_gyro_bias[self.rows])
+
+    @cached_property
+    def dp_by_gyro_bias(self) -> Array:
+        """(V, 3, 3) Derivatives of `Motion.dp` by the gyroscope bias [m s]."""
+        dv_by_bias = -skew(self._dv) @ self._R_by_gyro_bias[:-1]
+        return np.asarray(_summed_twice(dv_by_bias, self.increments.dt_s)[self.rows])
+
+    @cached_property
+    def _R_by_gyro_bias(self) -> Array:
+        steps = -0.5 * (self.R[:-1] + self.R[1:]) * self.increments.dt_s[:, None, None]
+        return np.concatenate([np.zeros((1, 3, 3)), np.cumsum(steps, axis=0)])
+
+    @cached_property
+    def _dv(self) -> Array:
+        return np.asarray((self.R[:-1] @ self.increments.accel_m_s2[..., None])[..., 0] * self.increments.dt_s[:, None])
+
+    @cached_property
+    def _dp(self) -> Array:
+        return _summed_twice(self._dv, self.increments.dt_s)
+
+    @cached_property
+    def _dp_by_accel_bias(self) -> Array:
+        dt_s = self.increments.dt_s
+        return _summed_twice(-self.R[:-1] * dt_s[:, None, None], dt_s)
+
+    def _shifted(self, shift_s: float) -> Integers:
+        if not shift_s:
+            return self.rows
+        wanted_s = self.t_s[self.rows] + shift_s
+        after, before = np.searchsorted(self.t_s, wanted_s), np.searchsorted(self.t_s, wanted_s, "right") - 1
+        return np.asarray(np.clip(after if shift_s > 0.0 else before, 0, len(self.t_s) - 1))
+
+
 class ImuWindow:
     """The IMU measurements of a window, which can be integrated with any gyroscope bias."""
 
@@ -69,34 +138,11 @@ class ImuWindow:
         self._t_s = np.concatenate([[0.0], np.cumsum(self.increments.dt_s)])
         self._rows = ends[frames]
 
-    def rotations(self, gyro_bias_rad_s: Array) -> Array:
-        """Return the rotations R_first_view (V, 3, 3) for a gyroscope bias (3,) [rad/s]."""
-        return np.asarray(self._all_rotations(gyro_bias_rad_s)[self._rows])
-
-    def integrated(self, gyro_bias_rad_s: Array, shift_s: float = 0.0) -> Motion:
-        """Return the motion for a gyroscope bias (3,) [rad/s], and zero accelerometer bias.
-
-        Args:
-            gyro_bias_rad_s: The bias.
-            shift_s: How much later than the views the motion is wanted at least, or earlier where it is negative [s];
-                it is that at the nearest sample, and ends with the window.
-        """
-        rows, dt_s = self._shifted_rows(shift_s), self.increments.dt_s
-        R = self._all_rotations(gyro_bias_rad_s)
-        dv = np.einsum("nij,nj->ni", R[:-1], self.increments.accel_m_s2) * dt_s[:, None]
-        dv_by_bias = -R[:-1] * dt_s[:, None, None]
-        return Motion(self._t_s[rows], R[rows], _summed_twice(dv, dt_s)[rows], _summed_twice(dv_by_bias, dt_s)[rows])
-
-    def _shifted_rows(self, shift_s: float) -> Integers:
-        if not shift_s:
-            return self._rows
-        wanted_s = self._t_s[self._rows] + shift_s
-        after, before = np.searchsorted(self._t_s, wanted_s), np.searchsorted(self._t_s, wanted_s, "right") - 1
-        return np.asarray(np.clip(after if shift_s > 0.0 else before, 0, len(self._t_s) - 1))
-
-    def _all_rotations(self, gyro_bias_rad_s: Array) -> Array:
-        increments = self.increments
-        return integrated_rotations((increments.gyro_rad_s - gyro_bias_rad_s) * increments.dt_s[:, None])
+    def integrated(self, gyro_bias_rad_s: Array) -> IntegratedImu:
+        """Return the integral for a gyroscope bias (3,) [rad/s]."""
+        i = self.increments
+        R = integrated_rotations((i.gyro_rad_s - gyro_bias_rad_s) * i.dt_s[:, None])
+        return IntegratedImu(i, self._t_s, R, self._rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +187,7 @@ class WindowMeasurements:
             gyro_bias_rad_s: (3,) Gyroscope bias by which the rotation is known [rad/s].
         """
         observed = self.tracks.observed
-        rays = self.bearings @ np.swapaxes(self.imu.rotations(gyro_bias_rad_s), 1, 2)
+        rays = self.bearings @ np.swapaxes(self.imu.integrated(gyro_bias_rad_s).rotations, 1, 2)
         first, last = observed.argmax(axis=0), len(observed) - 1 - observed[::-1].argmax(axis=0)
         columns = np.arange(len(self.tracks))
         sines = np.linalg.norm(cross(rays[first, columns], rays[last, columns]), axis=1)
