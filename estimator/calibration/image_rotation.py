@@ -98,7 +98,8 @@ def image_rotations(
         Ts_imu_cam: (C, 4, 4) Poses of the cameras in the IMU frame.
         after_ns: Only pairs whose second frame is later are computed; all by default [ns].
     """
-    pairs: list[tuple[int, int, Array, float]] = []
+    times: list[tuple[int, int, Array]] = []
+    pairs: list[tuple[Array, Array]] = []
     for camera in range(len(Ts_imu_cam)):
         R_imu_cam = Ts_imu_cam[camera, :3, :3]
         before: deque[tuple[int, Integers, Array]] = deque()
@@ -116,12 +117,14 @@ def image_rotations(
                 continue
             first, second = common_rows(ids, before[-1][1])
             if len(first) >= MIN_FEATURES:
-                R, sigma_rad = relative_rotation(xy[first], before[-1][2][second])
-                pairs.append((then_ns, now_ns, R_imu_cam @ R, sigma_rad))
+                times.append((then_ns, now_ns, R_imu_cam))
+                pairs.append((xy[first], before[-1][2][second]))
     if not pairs:
         return NO_ROTATIONS
-    start_ns, end_ns, rotations, sigmas = zip(*pairs, strict=True)
-    return RelativeRotations(np.array(start_ns), np.array(end_ns), np.array(rotations), np.array(sigmas))
+    start_ns, end_ns, Rs_imu_cam = zip(*times, strict=True)
+    rotations, sigmas = relative_rotations(pairs)
+    of_imu = (np.stack(Rs_imu_cam) @ rotations[..., None])[..., 0]
+    return RelativeRotations(np.array(start_ns), np.array(end_ns), of_imu, sigmas)
 
 
 def tracked_rotations(frames: Iterable[CameraFrame], rig: Rig) -> RelativeRotations:
@@ -143,53 +146,76 @@ def tracked_rotations(frames: Iterable[CameraFrame], rig: Rig) -> RelativeRotati
     return image_rotations(t_ns, seen, calibration.Ts_imu_cam)
 
 
-def relative_rotation(xy_first: Array, xy_second: Array) -> tuple[Array, float]:
-    """Return the rotation vector (3,) of R_first_second of a camera, and its standard deviation [rad].
+def relative_rotations(pairs: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Return rotation vectors (P, 3) of R_first_second of a camera, and their standard deviations (P,) [rad].
 
     Args:
-        xy_first: (N, 2) Normalized coordinates of features in the first view, at least five.
-        xy_second: (N, 2) Those in the second.
+        pairs: P pairs of normalized coordinates (N, 2) of features, at least five, in the first and the second view.
     """
-    E, mask = cv2.findEssentialMat(xy_first, xy_second, np.eye(3), cv2.RANSAC, prob=0.999, threshold=OUTLIER_RAD)
-    agree = np.ones(len(xy_first), dtype=np.bool_)
-    if mask is not None and mask.sum() >= MIN_FEATURES:
-        agree = mask[:, 0] == 1
-    first, second = _bearings(xy_first[agree]), _bearings(xy_second[agree])
-    R, weights = _aligning(first, second)
-    starts = [R]
-    if E is not None and E.shape == (3, 3):  # of the two rotations of the matrix, one is turned by half a turn
-        turned: list[Array] = [np.asarray(turn.T, np.float64) for turn in cv2.decomposeEssentialMat(E)[:2]]
-        starts.append(max(turned, key=lambda turn: float(np.trace(turn @ R.T))))
-    solutions = [_refined(first, second, start, weights) for start in starts]
-    R, H, scale = min(solutions, key=lambda solution: solution[2])
-    covariance = scale**2 * np.linalg.inv(H)[:3, :3]
-    return np.asarray(log_so3(R)), float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+    views, starts = [], []
+    for xy_first, xy_second in pairs:
+        E, mask = cv2.findEssentialMat(xy_first, xy_second, np.eye(3), cv2.RANSAC, prob=0.999, threshold=OUTLIER_RAD)
+        agree = np.ones(len(xy_first), dtype=np.bool_)
+        if mask is not None and mask.sum() >= MIN_FEATURES:
+            agree = mask[:, 0] == 1
+        view = _bearings(xy_first[agree]), _bearings(xy_second[agree])
+        R, weights = _aligning(*view)
+        turns = [R, R]
+        if E is not None and E.shape == (3, 3):  # of the two rotations of the matrix, one is turned by half a turn
+            turned: list[Array] = [np.asarray(turn.T, np.float64) for turn in cv2.decomposeEssentialMat(E)[:2]]
+            turns[1] = max(turned, key=lambda turn: float(np.trace(turn @ R.T)))
+        views += [(*view, weights)] * 2
+        starts += turns
+    R, H, scale = _refined(*(_padded(values) for values in zip(*views, strict=True)), np.stack(starts))
+    best = np.argmin(scale.reshape(-1, 2), axis=1) + 2 * np.arange(len(pairs))
+    covariance = scale[best, None, None] ** 2 * np.linalg.inv(H[best])[:, :3, :3]
+    return log_so3(R[best]), np.sqrt(np.linalg.eigvalsh(covariance)[:, -1])
 
 
-def _refined(first: Array, second: Array, R: Array, weights: Array) -> tuple[Array, Array, float]:
-    """Return the rotation (3, 3) of bearings (N, 3), the Hessian (5, 5) of it and of the translation, and the scale."""
-    normals = cross(first, second @ R.T)
-    t = np.linalg.eigh((weights[:, None] * normals).T @ normals)[1][:, 0]
-    H, scale = np.eye(5), np.inf
+def _padded(rows: Sequence[Array]) -> Array:
+    """Return arrays (N, …) of different lengths as one (P, N, …), followed by zeros."""
+    padded = np.zeros((len(rows), max(map(len, rows)), *rows[0].shape[1:]))
+    for one, values in zip(padded, rows, strict=True):
+        one[: len(values)] = values
+    return padded
+
+
+def _refined(first: Array, second: Array, weights: Array, R: Array) -> tuple[Array, Array, Array]:
+    """Return the rotations (P, 3, 3), the Hessians (P, 5, 5) of them and of the translations, and the scales (P,).
+
+    Args:
+        first: (P, N, 3) Bearings in the first views; zeros where a pair has fewer.
+        second: (P, N, 3) Those in the second views.
+        weights: (P, N) Their first weights.
+        R: (P, 3, 3) Rotations to begin at.
+    """
+    exists = first.any(axis=2)
+    count = exists.sum(axis=1)
+    normals = cross(first, second @ np.swapaxes(R, 1, 2))
+    t = np.linalg.eigh(np.swapaxes(weights[..., None] * normals, 1, 2) @ normals)[1][:, :, 0]
+    H, scale = np.zeros((len(R), 5, 5)), np.full(len(R), np.inf)
     for _ in range(ITERATIONS):
-        turned = second @ R.T
-        across_first, across_second = cross(t, first), cross(t, turned)
-        length = np.sqrt(0.5 * ((across_first**2).sum(axis=1) + (across_second**2).sum(axis=1)) + MIN_SINE**2)
-        normals = cross(first, turned) / length[:, None]
-        residual = normals @ t
-        tangents = np.linalg.svd(t[None])[2][1:].T
+        turned = second @ np.swapaxes(R, 1, 2)
+        across_first, across_second = cross(t[:, None], first), cross(t[:, None], turned)
+        squares = (across_first**2).sum(axis=2) + (across_second**2).sum(axis=2)
+        length = np.sqrt(0.5 * squares + MIN_SINE**2)[..., None]
+        normals = cross(first, turned) / length
+        residual = (normals @ t[..., None])[..., 0]
+        tangents = np.linalg.svd(t[:, None])[2][:, 1:]
         # By a rotation of the second view, n = f × Exp(δ) R g: ∂(t·n)/∂δ = −(t × f) × R g
-        by_rotation = -cross(across_first, turned) / length[:, None]
-        J = np.column_stack([by_rotation, normals @ tangents])
-        scale = max(1.4826 * float(np.median(np.abs(residual))), _MIN_SCALE_RAD)
-        weights = 1.0 / (1.0 + (residual / (2.0 * scale)) ** 2) ** 2
-        H = (weights[:, None] * J).T @ J + 1e-9 * np.eye(5)
-        step = -np.linalg.solve(H, J.T @ (weights * residual))
-        angle = float(np.linalg.norm(step[:3]))
-        R = exp_so3(step[:3] * min(1.0, MAX_STEP_RAD / max(angle, 1e-12))) @ R
-        t = t + tangents @ np.clip(step[3:], -MAX_TURN, MAX_TURN)
-        t = t / np.linalg.norm(t)
-        if angle < 1e-6:
+        J = np.concatenate([-cross(across_first, turned) / length, normals @ np.swapaxes(tangents, 1, 2)], axis=2)
+        ordered = np.sort(np.where(exists, np.abs(residual), np.inf), axis=1)
+        middle = ordered[np.arange(len(R)), (count - 1) // 2] + ordered[np.arange(len(R)), count // 2]
+        scale = np.maximum(1.4826 * 0.5 * middle, _MIN_SCALE_RAD)
+        weights = exists / (1.0 + (residual / (2.0 * scale[:, None])) ** 2) ** 2
+        weighted = np.swapaxes(weights[..., None] * J, 1, 2)
+        H = weighted @ J + 1e-9 * np.eye(5)
+        step = -np.linalg.solve(H, weighted @ residual[..., None])[..., 0]
+        angle = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
+        R = exp_so3(step[:, :3] * np.minimum(1.0, MAX_STEP_RAD / np.maximum(angle, 1e-12))) @ R
+        t = t + (np.clip(step[:, None, 3:], -MAX_TURN, MAX_TURN) @ tangents)[:, 0]
+        t = t / np.linalg.norm(t, axis=1, keepdims=True)
+        if (angle < 1e-6).all():
             break
     return R, H, scale
 

@@ -119,6 +119,7 @@ class Initializer:
         self._gyro_bias, self._accel_bias = gauge.gyro_bias, gauge.accel_bias
         self._window: list[FramePacket] = []
         self._last_attempt_ns: int | None = None
+        self._needs_longer_window = False
         self._replenished_ns: int | None = None
         self._last_reason = NotObservable("no images so far")
 
@@ -178,13 +179,15 @@ class Initializer:
         if span_s < needed_s - TIME_TOLERANCE_NS * 1e-9:
             return too_short(span_s, c.static_window_s, needed_s)
         last_ns = self._last_attempt_ns
-        if last_ns is not None and t_ns - last_ns < c.dynamic.attempt_interval_s * 1e9:
+        if self._needs_longer_window:
+            window = self._since(t_ns, c.dynamic.max_window_s)
+        elif last_ns is not None and t_ns - last_ns < c.dynamic.attempt_interval_s * 1e9:
             return self._last_reason
-        self._last_attempt_ns = t_ns
+        else:
+            self._last_attempt_ns = t_ns
         result = self._dynamic(window, calibration, gauge, noise)
-        longer = window if stereo else self._since(t_ns, c.dynamic.max_window_s)
-        if isinstance(result, NotObservable) and len(longer) > len(window):
-            result = self._dynamic(longer, calibration, gauge, noise)
+        has_longer = not stereo and len(self._since(t_ns, c.dynamic.max_window_s)) > len(window)
+        self._needs_longer_window = isinstance(result, NotObservable) and has_longer  # at the next frame
         self._last_reason = result if isinstance(result, NotObservable) else self._last_reason
         return result
 

@@ -11,7 +11,7 @@ from dronevio.estimator.calibration.image_rotation import (
     NO_ROTATIONS,
     RelativeRotations,
     image_rotations,
-    relative_rotation,
+    relative_rotations,
 )
 from dronevio.estimator.calibration.rotation_offset import MIN_PAIRS, rotation_offset
 from dronevio.estimator.types import Observations
@@ -137,9 +137,17 @@ def views(R: Array, t: Array, n: int = 80, outliers: int = 0, seed: int = 0) -> 
 @pytest.mark.parametrize("outliers", [0, 15])
 def test_rotation_of_two_views_does_not_depend_on_translation(t_m: tuple[float, ...], outliers: int) -> None:
     rotation = np.array([0.03, -0.05, 0.02])
-    found, sigma_rad = relative_rotation(*views(exp_so3(rotation), np.array(t_m), outliers=outliers))
-    np.testing.assert_allclose(found, rotation, atol=1e-4)
-    assert 0.0 < sigma_rad < 1e-3
+    found, sigma_rad = relative_rotations([views(exp_so3(rotation), np.array(t_m), outliers=outliers)])
+    np.testing.assert_allclose(found[0], rotation, atol=1e-4)
+    assert 0.0 < sigma_rad[0] < 1e-3
+
+
+def test_pairs_do_not_depend_on_each_other() -> None:
+    """With different numbers of features."""
+    pairs = [views(exp_so3(np.array([0.03, y, 0.02])), np.array([0.1, y, 0.0]), n) for y, n in ((0.1, 80), (-0.2, 31))]
+    together, alone = relative_rotations(pairs), [relative_rotations([pair]) for pair in pairs]
+    np.testing.assert_allclose(together[0], np.concatenate([one[0] for one in alone]), atol=1e-9)
+    np.testing.assert_allclose(together[1], np.concatenate([one[1] for one in alone]), rtol=1e-4)
 
 
 def test_rotations_are_those_of_the_imu_over_long_intervals() -> None:
