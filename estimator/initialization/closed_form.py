@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import brentq
 
 from dronevio.estimator.initialization.gauge import BiasPrior
 from dronevio.estimator.initialization.robust import INLIER_WEIGHT, robust_weights
@@ -25,6 +24,8 @@ MIN_START_DEPTH_M = 0.1
 """Smallest mean depth of a landmark that counts as in front of the cameras [m]."""
 ITERATIONS = 12
 """Number of solutions, each with the depths and the weights of the one before."""
+NEWTON_STEPS = 50
+"""Largest number of steps to the multiplier of the constraint; a few suffice."""
 
 
 @dataclass(frozen=True)
@@ -160,14 +161,17 @@ def _minimum(H: Array, noise: NoiseModel) -> Array:
 def on_sphere(D: Array, d: Array, radius: float) -> Array:
     """Return the vector x (3,) of a given norm that minimizes xᵀDx − 2dᵀx.
 
-    It is (D + λI)⁻¹ d. Its norm decreases with λ, from infinity at minus the smallest eigenvalue of D to zero.
+    It is (D + λI)⁻¹ d. Its norm decreases with λ, from infinity at minus the smallest eigenvalue of D to zero. Newton's
+    method finds λ as the root of 1/norm − 1/radius, which is nearly linear and concave, so that the steps from below
+    never pass it (Moré and Sorensen, "Computing a trust region step", SIAM J. Sci. Stat. Comput. 1983).
     """
     eigenvalues, U = np.linalg.eigh(D)
-    c = U.T @ d
-
-    def excess(shift: float) -> float:
-        return float(np.sum((c / (eigenvalues - eigenvalues[0] + shift)) ** 2) - radius**2)
-
-    low, high = 1e-9 * float(eigenvalues[-1]), 2.0 * float(np.linalg.norm(d)) / radius + 1e-12
-    shift = brentq(excess, low, high) if excess(low) > 0.0 > excess(high) else low
-    return np.asarray(U @ (c / (eigenvalues - eigenvalues[0] + shift)))
+    c, above = U.T @ d, eigenvalues - eigenvalues[0]
+    shift = 1e-9 * float(eigenvalues[-1])
+    for _ in range(NEWTON_STEPS):
+        x = c / (above + shift)
+        norm2 = float(x @ x)
+        if norm2 <= radius**2 * (1.0 + 1e-12):
+            break
+        shift += norm2 / float(x @ (x / (above + shift))) * (np.sqrt(norm2) / radius - 1.0)
+    return np.asarray(U @ (c / (above + shift)))
