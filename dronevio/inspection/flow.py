@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dronevio.estimator.calibration.image_rotation import relative_rotation
+from dronevio.estimator.calibration.image_rotation import relative_rotations
 from dronevio.estimator.frontend import klt
 from dronevio.estimator.frontend.corners import CornerConfig, detect_corners
 from dronevio.models.arrays import Array, Image
@@ -78,4 +78,5 @@ def rotation_of(flow: Flow) -> Array:
     """Return the rotation vector (3,) of the camera from the first image to the second [rad]; NaN if undetermined."""
     if len(flow.pixels[0]) < MIN_MATCHES:
         return np.full(3, np.nan)
-    return relative_rotation(*(f[:, :2] / f[:, 2:] for f in flow.bearings))[0]
+    first, second = (f[:, :2] / f[:, 2:] for f in flow.bearings)
+    return np.asarray(relative_rotations([(first, second)])[0][0])

@@ -6,19 +6,23 @@ more than the uncertainty explains and by enough to matter. It follows the estim
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.calibration.config import CalibrationConfig
-from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
+from dronevio.estimator.calibration.corrections import GRAVITY, Corrections, seen_errors
 from dronevio.estimator.calibration.parameters import ParameterTable
 from dronevio.estimator.calibration.significance import SignificanceTest
+from dronevio.estimator.types import CalibrationSigmas
 from dronevio.models.arrays import Array
 
 INFLATION_CORRECTION = (5e-3, np.radians(1.0))
 """Corrections of time offset [s], and of rotation [rad] and intrinsics, which turn directions as much, to which
 `CalibrationConfig.inflation_sigmas` correspond."""
+MEAN_RADIUS2 = 0.3
+"""Mean squared radius of image observations, by which a radial distortion acts as a focal length does."""
 MIN_INFLATION = 0.03
 """Smallest share of these that is applied, however small a correction is."""
 
@@ -53,6 +57,12 @@ class ParameterEstimate:
         """
         variances = np.einsum("ni,ij,nj->n", A, self.newest_covariance, A)
         return np.asarray(np.sqrt(variances + (A @ (self.newest_mean - self.applied)) ** 2))
+
+    @cached_property
+    def seen_sigmas(self) -> CalibrationSigmas:
+        """Standard deviations of what the first camera shows of the errors of the calibration in use."""
+        offset_s, *view_rad, focal, radial = self.errors(seen_errors(len(self.mean)))
+        return CalibrationSigmas(float(offset_s), float(max(view_rad)), float(np.hypot(focal, MEAN_RADIUS2 * radial)))
 
     @classmethod
     def prior(cls, parameters: ParameterTable) -> "ParameterEstimate":

@@ -152,7 +152,8 @@ def relative_rotations(pairs: Sequence[tuple[Array, Array]]) -> tuple[Array, Arr
     Args:
         pairs: P pairs of normalized coordinates (N, 2) of features, at least five, in the first and the second view.
     """
-    views, starts = [], []
+    views: list[tuple[Array, Array, Array]] = []
+    starts: list[Array] = []
     for xy_first, xy_second in pairs:
         E, mask = cv2.findEssentialMat(xy_first, xy_second, np.eye(3), cv2.RANSAC, prob=0.999, threshold=OUTLIER_RAD)
         agree = np.ones(len(xy_first), dtype=np.bool_)
@@ -166,7 +167,8 @@ def relative_rotations(pairs: Sequence[tuple[Array, Array]]) -> tuple[Array, Arr
             turns[1] = max(turned, key=lambda turn: float(np.trace(turn @ R.T)))
         views += [(*view, weights)] * 2
         starts += turns
-    R, H, scale = _refined(*(_padded(values) for values in zip(*views, strict=True)), np.stack(starts))
+    first, second, first_weights = (_padded(values) for values in zip(*views, strict=True))
+    R, H, scale = _refined(first, second, first_weights, np.stack(starts))
     best = np.argmin(scale.reshape(-1, 2), axis=1) + 2 * np.arange(len(pairs))
     covariance = scale[best, None, None] ** 2 * np.linalg.inv(H[best])[:, :3, :3]
     return log_so3(R[best]), np.sqrt(np.linalg.eigvalsh(covariance)[:, -1])

@@ -21,7 +21,7 @@ import numpy as np
 from dronevio.estimator.calibration.adjustment import CalibrationProblem
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrected_state import propagated_state
-from dronevio.estimator.calibration.corrections import GRAVITY, Corrections, seen_errors
+from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
 from dronevio.estimator.calibration.estimate import ParameterEstimate, covariance_inflation, inflation_share
 from dronevio.estimator.calibration.objective import CalibrationObjective
 from dronevio.estimator.calibration.parameters import ParameterTable
@@ -44,8 +44,6 @@ MAX_RMS_PX = 2.0
 MIN_RELATIVE_CORRECTION = 0.0015
 """Smallest correction of the rotation between cameras by the matches of the first keyframe, over all rotation
 parameters together [rad]."""
-MEAN_RADIUS2 = 0.3
-"""Mean squared radius of image observations, by which a radial distortion acts as a focal length does."""
 MAX_RELATIVE_SIGMAS = 4.0
 """Prior standard deviations beyond which the matches of a keyframe have another cause than the cameras' rotation."""
 
@@ -146,8 +144,7 @@ class OnlineCalibration:
     @property
     def uncertainty(self) -> CalibrationSigmas:
         """The standard deviations of the error of the calibration in use, of the first camera."""
-        offset_s, *view_rad, focal, radial = self._estimate.errors(seen_errors(len(self._prior.parameters.sigmas)))
-        return CalibrationSigmas(float(offset_s), float(max(view_rad)), float(np.hypot(focal, MEAN_RADIUS2 * radial)))
+        return self._estimate.seen_sigmas
 
     @property
     def applied(self) -> Corrections:

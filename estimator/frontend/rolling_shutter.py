@@ -9,6 +9,7 @@ acceleration a, a depth z and a time Δt between frames.
 """
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -54,6 +55,12 @@ class LocalRotation:
         Rs_past = integrated_rotations(-past * past_s[:, None])[1:]
         Rs_frame_t = np.concatenate([Rs_past[::-1], integrated_rotations(future * future_s[:, None])])
         return cls(t_s, log_so3(Rs_frame_t))
+
+    @cached_property
+    def angular_velocity_rad_s(self) -> Array:
+        """(3,) Angular velocity at the frame [rad/s]."""
+        before, after = self.at(np.array([-ANGULAR_VELOCITY_STEP_S, ANGULAR_VELOCITY_STEP_S]))
+        return np.asarray((after - before) / (2.0 * ANGULAR_VELOCITY_STEP_S))
 
     def at(self, t_s: Array) -> Array:
         """Return the rotation vectors (N, 3) of R_frame_t [rad] at times (N,) relative to the frame's [s]."""
@@ -127,8 +134,7 @@ class ExposureCompensation:
     @property
     def angular_velocity_rad_s(self) -> Array:
         """(3,) Angular velocity of the IMU at the frame, bias removed [rad/s]."""
-        step_s = np.array([-ANGULAR_VELOCITY_STEP_S, ANGULAR_VELOCITY_STEP_S])
-        return np.asarray(np.diff(self._rotation.at(step_s), axis=0)[0] / (2.0 * ANGULAR_VELOCITY_STEP_S))
+        return self._rotation.angular_velocity_rad_s
 
     def at_frame_time(self, observations: Observations, calibration: Calibration) -> Observations:
         """Return the observations of a frame as they are at the time of the frame.

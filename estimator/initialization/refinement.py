@@ -157,7 +157,7 @@ class RefinementObjective:
         projection *= (tracks.observed[..., None] / self.noise.xy_sigma / z)[..., None]
         J_landmark = projection @ np.swapaxes(geometry.R_first_cam, 1, 2)[:, None]
         J_linear = J_landmark @ (geometry.Q[..., :9] @ _tangents(state))[:, None]
-        by_bias = _by_gyro_bias(imu, geometry, measured.Ts_imu_cam, landmarks, state.y)
+        by_bias = by_gyro_bias(imu, geometry, measured.Ts_imu_cam, landmarks, state.y)
         J_others = projection @ np.concatenate([by_bias, by_offset[..., None]], axis=-1)
         J = np.concatenate([J_landmark, J_linear, J_others, residuals[..., None]], axis=-1)
         J = np.moveaxis(J, 1, 0).reshape(len(tracks), -1, J.shape[-1])
@@ -207,7 +207,7 @@ class RefinementObjective:
         return error, variance
 
 
-def _by_gyro_bias(imu: IntegratedImu, geometry: ViewGeometry, Ts_imu_cam: Array, landmarks: Array, y: Array) -> Array:
+def by_gyro_bias(imu: IntegratedImu, geometry: ViewGeometry, Ts_imu_cam: Array, landmarks: Array, y: Array) -> Array:
     """Return the derivatives (V, F, 3, 3) of the positions in the cameras by the gyroscope bias.
 
     The rotation of a view changes by A δ, its position by that of dp and of the lever of the camera. The product with

@@ -75,7 +75,7 @@ def test_a_wrong_calibration_is_corrected(preset: str, share: float) -> None:
 
 @pytest.mark.parametrize(("preset", "is_fisheye"), [("euroc-stereo", False), ("nano", False), ("fisheye-stereo", True)])
 def test_corrections_of_a_rig_are_those_of_its_lenses(preset: str, is_fisheye: bool) -> None:
-    """The focal lengths of all cameras are corrected by 1 %: after time offset, gravity, scale of the gyroscope and six others."""
+    """The focal lengths of all cameras are corrected by 1 %, the tenth parameter of each."""
     given = Calibration(rig_named(preset))
     x = np.zeros(3 + 10 * len(given.rig.cameras))
     x[9::10] = 0.01

@@ -10,7 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dronevio.estimator.initialization.closed_form import NoiseModel, WindowState, on_sphere, solve_closed_form
+from dronevio.estimator.initialization.closed_form import (
+    NoiseModel,
+    ViewGeometry,
+    WindowState,
+    on_sphere,
+    solve_closed_form,
+)
 from dronevio.estimator.initialization.dynamic import (
     DynamicInitializationConfig,
     DynamicStart,
@@ -20,14 +26,14 @@ from dronevio.estimator.initialization.dynamic import (
 from dronevio.estimator.initialization.gauge import BiasPrior
 from dronevio.estimator.initialization.gyro_bias import EpipolarSolution, epipolar_gyro_bias
 from dronevio.estimator.initialization.not_observable import NotObservable
-from dronevio.estimator.initialization.refinement import refine
+from dronevio.estimator.initialization.refinement import by_gyro_bias, refine
 from dronevio.estimator.initialization.robust import INLIER_WEIGHT, MEDIAN_FACTOR, robust_weights
 from dronevio.estimator.initialization.views import WindowMeasurements
 from dronevio.estimator.monitoring.causes import Cause
 from dronevio.estimator.types import FramePacket
 from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2
-from dronevio.models.rotation import exp_so3, pose_matrix
+from dronevio.models.rotation import exp_so3, log_so3, pose_matrix
 from tests.estimator.initialization.test_dynamic import errors, window_of
 
 if TYPE_CHECKING:
@@ -314,6 +320,29 @@ def test_refinement_finds_the_minimum(make_flight: MakeFlight) -> None:
     assert best.inliers.mean() > 0.95
 
 
+def test_derivatives_by_the_gyroscope_bias(make_flight: MakeFlight) -> None:
+    """Of rotations and positions by the IMU, and of the landmarks in the cameras, against differences."""
+    flight = make_flight(0, rest_s=-5.0, duration_s=2.0, R_mount=exp_so3(np.array([0.4, -0.2, 0.9])))
+    window = measured(window_of(flight), flight)
+    state = WindowState(np.array([1.0, -0.5, 0.2]), np.array([0.3, 0.2, 9.8]), np.zeros(3), BIAS)
+    landmarks = np.random.default_rng(0).normal(size=(len(window.tracks), 3)) + np.array([0.0, 0.0, 4.0])
+
+    def in_cameras(bias: Array) -> Array:
+        return ViewGeometry.of(window.imu.integrated(bias).motion(), window.Ts_imu_cam).in_cameras(landmarks, state.y)
+
+    at, step = window.imu.integrated(BIAS), 1e-5
+    geometry = ViewGeometry.of(at.motion(), window.Ts_imu_cam)
+    by_bias = by_gyro_bias(at, geometry, window.Ts_imu_cam, landmarks, state.y)
+    for axis, change in enumerate(step * np.eye(3)):
+        before, after = window.imu.integrated(BIAS - change), window.imu.integrated(BIAS + change)
+        turned = log_so3(after.rotations @ np.swapaxes(before.rotations, 1, 2)) / (2.0 * step)
+        np.testing.assert_allclose(turned, at.rotations_by_gyro_bias[..., axis], atol=1e-3)
+        moved = (after.motion().dp - before.motion().dp) / (2.0 * step)
+        np.testing.assert_allclose(moved, at.dp_by_gyro_bias[..., axis], atol=2e-3 * np.abs(moved).max())
+        seen = (in_cameras(BIAS + change) - in_cameras(BIAS - change)) / (2.0 * step)
+        np.testing.assert_allclose(seen, by_bias[..., axis], atol=2e-3 * np.abs(seen).max())
+
+
 def test_weight_at_the_threshold_is_a_quarter() -> None:
     """The threshold is that of the assumed noise, or follows the median where it is larger."""
     np.testing.assert_allclose(robust_weights(np.array([0.0, 0.0, 9.0]), 3.0), [1.0, 1.0, INLIER_WEIGHT])
@@ -339,7 +368,7 @@ def test_minimum_on_the_sphere_is_stationary(seed: int, radius: float) -> None:
     A, d = rng.normal(size=(4, 3)), rng.normal(size=3)
     D = A.T @ A
     x = on_sphere(D, d, radius)
-    assert np.linalg.norm(x) == pytest.approx(radius, rel=1e-4)
+    assert np.linalg.norm(x) == pytest.approx(radius, rel=1e-9)
     points = rng.normal(size=(200, 3))
     points *= radius / np.linalg.norm(points, axis=1, keepdims=True)
     values = np.einsum("ni,ij,nj->n", points, D, points) - 2.0 * points @ d
