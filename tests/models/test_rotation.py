@@ -12,6 +12,7 @@ from dronevio.models.rotation import (
     adjoint,
     cross,
     exp_so3,
+    integrated_rotations,
     inverse_pose,
     log_so3,
     matrix_from_quat_wxyz,
@@ -48,6 +49,24 @@ def test_exponential_agrees_with_scipy(angle_rad: float) -> None:
     np.testing.assert_allclose(R[0], expm(skew(phi[0])), atol=1e-13)
     np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), np.broadcast_to(np.eye(3), R.shape), atol=1e-14)
     np.testing.assert_allclose(np.linalg.det(R), 1.0, atol=1e-14)
+
+
+@pytest.mark.parametrize("angle_rad", [*ANGLES_RAD, np.pi, 5.0, 20.0])
+def test_exponential_of_a_single_vector_is_that_of_several(angle_rad: float) -> None:
+    phi = angle_rad * directions(20)
+    np.testing.assert_allclose(np.stack([exp_so3(each) for each in phi]), exp_so3(phi), atol=1e-15)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 9, 10, 50])
+def test_integrated_rotations_are_products_in_order(n: int) -> None:
+    phi = np.random.default_rng(n).normal(size=(3, n, 3))
+    products = integrated_rotations(phi)
+    assert products.shape == (3, n + 1, 3, 3)
+    for run in range(3):
+        R = np.eye(3)
+        for k in range(n + 1):
+            np.testing.assert_allclose(products[run, k], R, atol=1e-13)
+            R = R @ exp_so3(phi[run, k]) if k < n else R
 
 
 @pytest.mark.parametrize("angle_rad", ANGLES_RAD)
@@ -120,7 +139,7 @@ def test_functions_broadcast_over_leading_axes() -> None:
     R = exp_so3(phi)
     q = quat_wxyz_from_matrix(R)
     for i, j in np.ndindex(2, 3):
-        np.testing.assert_array_equal(R[i, j], exp_so3(phi[i, j]))
+        np.testing.assert_allclose(R[i, j], exp_so3(phi[i, j]), atol=1e-15)
         np.testing.assert_array_equal(q[i, j], quat_wxyz_from_matrix(R[i, j]))
         np.testing.assert_array_equal(log_so3(R)[i, j], log_so3(R[i, j]))
         np.testing.assert_array_equal(matrix_from_quat_wxyz(q)[i, j], matrix_from_quat_wxyz(q[i, j]))

@@ -8,7 +8,6 @@ import pytest
 
 from dronevio.estimator.book.drift import (
     SOURCES,
-    cumulative_rotations,
     dead_reckoning,
     predicted_covariance,
     run_drift_study,
@@ -19,17 +18,8 @@ from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel
 from dronevio.models.imu_presets import BMI088, IMUS, MPU_6050
-from dronevio.models.rotation import exp_so3, integrated_rotations
 
 SILENT = ImuModel(gyro_noise_density=0.0, accel_noise_density=0.0, gyro_random_walk=0.0, accel_random_walk=0.0)
-
-
-@pytest.mark.parametrize("n", [1, 2, 9, 10, 50])
-def test_cumulative_rotations_are_products_in_order(n: int) -> None:
-    phi = np.random.default_rng(n).normal(size=(3, n, 3))
-    products = cumulative_rotations(exp_so3(phi))
-    for run in range(3):
-        np.testing.assert_allclose(products[run], integrated_rotations(phi[run])[1:], atol=1e-13)
 
 
 def test_samples_without_errors_lead_along_the_circle() -> None:
