@@ -210,11 +210,11 @@ class RefinementObjective:
 def by_gyro_bias(imu: IntegratedImu, geometry: ViewGeometry, Ts_imu_cam: Array, landmarks: Array, y: Array) -> Array:
     """Return the derivatives (V, F, 3, 3) of the positions in the cameras by the gyroscope bias.
 
-    The rotation of a view changes by A δ, its position by that of dp and of the lever of the camera. The product with
-    the accelerometer bias is left out.
+    The rotation of a view changes by A δ, its position by the change of the integrated force and of the lever of the
+    camera.
     """
     from_imu = landmarks + (geometry.Q @ y + (imu.rotations @ Ts_imu_cam[:, :3, 3:])[..., 0])[:, None]
-    by_bias = skew(from_imu) @ imu.rotations_by_gyro_bias[:, None] - imu.dp_by_gyro_bias[:, None]
+    by_bias = skew(from_imu) @ imu.rotations_by_gyro_bias[:, None] - imu.dp_by_gyro_bias(y[6:9])[:, None]
     return np.asarray(np.swapaxes(geometry.R_first_cam, 1, 2)[:, None] @ by_bias)
 
 

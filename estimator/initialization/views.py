@@ -90,11 +90,15 @@ class IntegratedImu:
         """(V, 3, 3) Derivatives A of the rotations by the gyroscope bias [s]: R(b + δ) ≈ Exp(A δ) R(b)."""
         return np.asarray(self._R_by_gyro_bias[self.rows])
 
-    @cached_property
-    def dp_by_gyro_bias(self) -> Array:
-        """(V, 3, 3) Derivatives of `Motion.dp` by the gyroscope bias [m s]."""
-        dv_by_bias = -skew(self._dv) @ self._R_by_gyro_bias[:-1]
-        return np.asarray(_summed_twice(dv_by_bias, self.increments.dt_s)[self.rows])
+    def dp_by_gyro_bias(self, accel_bias_m_s2: Array) -> Array:
+        """Return the derivatives (V, 3, 3) by the gyroscope bias of the double integrals of the specific force [m s].
+
+        Args:
+            accel_bias_m_s2: (3,) Accelerometer bias, which is not in `Motion.dp` [m/s²].
+        """
+        dt_s = self.increments.dt_s
+        dv = self._dv - (self.R[:-1] @ accel_bias_m_s2) * dt_s[:, None]
+        return np.asarray(_summed_twice(-skew(dv) @ self._R_by_gyro_bias[:-1], dt_s)[self.rows])
 
     @cached_property
     def _R_by_gyro_bias(self) -> Array:
