@@ -77,6 +77,28 @@ def test_scores_do_not_depend_on_the_format(flight: Path, capsys: pytest.Capture
     assert documents[0]["coverage_percent"] == documents[1]["coverage_percent"] == 81.0
 
 
+def test_a_recording_as_the_estimate_is_refused(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Truth and estimate are exchanged; two recordings are compared."""
+    estimate = str(flight.parent / "estimate.tum")
+    assert main(["evaluate", estimate, str(flight)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and f"dronevio evaluate {flight} {estimate}" in error
+    assert main(["evaluate", str(flight), str(flight)]) == 0
+
+
+@pytest.mark.parametrize(("every", "is_sparse"), [(10, False), (40, True)])
+def test_sparse_ground_truth_is_said(
+    flight: Path, capsys: pytest.CaptureFixture[str], every: int, is_sparse: bool
+) -> None:
+    """Poses every 50 ms are not; every 200 ms are, unless they are not interpolated."""
+    truth, estimate = str(flight.parent / "sparse.tum"), str(flight.parent / "estimate.tum")
+    write_tum(Path(truth), read_tum(flight.parent / "truth.tum")[::every])
+    assert main(["evaluate", truth, estimate]) == 0
+    assert ("a pose every 0.20 s" in capsys.readouterr().err) == is_sparse
+    assert main(["evaluate", truth, estimate, "--association", "nearest"]) == 0
+    assert not capsys.readouterr().err
+
+
 def test_alignment_is_the_selected_one(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     errors = {}
     for mode in ("none", "yaw", "se3", "sim3"):

@@ -48,6 +48,23 @@ def test_missing_folder_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "no such file" in capsys.readouterr().err
 
 
+def test_a_page_opens_in_the_browser(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where there is a display; its address is printed anyway."""
+    page, opened = tmp_path / "a report.html", list[str]()
+    assert main(["view", str(page)]) == 2
+    assert "no such file" in capsys.readouterr().err
+    page.write_text("<html></html>", encoding="utf-8")
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    for display, expected in (("", []), (":0", [page.as_uri()])):
+        monkeypatch.setenv("DISPLAY", display)
+        monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+        assert main(["view", str(page)]) == 0
+        assert page.as_uri() in capsys.readouterr().out
+        assert opened == expected
+
+
 def test_displays_are_detected() -> None:
     assert has_display("linux", {"DISPLAY": ":0"})
     assert has_display("linux", {"WAYLAND_DISPLAY": "wayland-0"})

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from dronevio.cli.options import Printing, PrintOptions
-from dronevio.cli.terminal import parse, print_json, print_table, print_values
+from dronevio.cli.terminal import parse, print_json, print_table, print_values, print_warning
 from dronevio.models.ranges import Range, Settings
 
 if TYPE_CHECKING:
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from dronevio.eval.metrics.kitti import KittiScores
     from dronevio.models.imu import Times
     from dronevio.models.state import Trajectory
+
+SPARSE_TRUTH_S = 0.1
+"""Interval of the ground truth from which its interpolation is worth a warning [s]: at 2 m/s² it errs by 2.5 mm."""
 
 
 @dataclass(frozen=True)
@@ -90,9 +93,15 @@ def main(arguments: Sequence[str]) -> int:
 
     from dronevio.eval.metrics import score_trajectory
     from dronevio.eval.metrics.time_offset import estimate_time_offset_s
+    from dronevio.models.errors import InputError
 
+    if _is_recording(command.estimate) and not _is_recording(command.truth):
+        expected = f"the truth first: dronevio evaluate {command.estimate} {command.truth}"
+        raise InputError(command.estimate, "it is a recording, which holds the truth", expected)
     estimate = _trajectory(command, command.estimate)
     truth = _trajectory(command, command.truth, estimate.t_ns)
+    if command.association == "interpolate":
+        _warn_of_sparse_truth(truth)
     scored = score_trajectory(
         truth,
         estimate,
@@ -244,6 +253,18 @@ def _plot(path: Path, scored: "ScoredTrajectory") -> None:
     from dronevio.eval.report.plots import write_score_plot
 
     write_score_plot(path, scored)
+
+
+def _warn_of_sparse_truth(truth: "Trajectory") -> None:
+    """Print a warning if the poses of the ground truth are so far apart that interpolation errs."""
+    import numpy as np
+
+    interval_s = float(np.median(np.diff(truth.t_ns))) * 1e-9 if len(truth.t_ns) > 1 else 0.0
+    if interval_s > SPARSE_TRUTH_S:
+        print_warning(
+            f"the ground truth has a pose every {interval_s:.2f} s, between which a straight flight is assumed;"
+            " with --association nearest, only the estimates at these poses count"
+        )
 
 
 def _warn(warning: str) -> None:

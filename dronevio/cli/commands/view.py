@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 from urllib.parse import quote, urlsplit
 
 import tyro
@@ -30,16 +30,18 @@ _START_S = 30.0  # time within which a viewer accepts connections
 class ViewCommand(Settings):
     """Open the rerun file of a run: images, IMU samples, true and estimated paths and errors on one timeline.
 
-    If there is a display, a window opens. Otherwise a web viewer is served to browsers on this machine. To use it from
-    another machine, forward its two ports: ssh -L 9090:127.0.0.1:9090 -L 9876:127.0.0.1:9876 HOST.
+    A report, report.html, opens in the browser. If there is a display, a window opens for the others. Otherwise a web
+    viewer is served to browsers on this machine. To use it from another machine, forward its two ports:
+    ssh -L 9090:127.0.0.1:9090 -L 9876:127.0.0.1:9876 HOST.
 
     Examples:
       dronevio view runs/room
       dronevio view runs/room/run.rrd --web
+      dronevio view runs/room/report.html
     """
 
     run: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
-    """Folder that `dronevio run` wrote, or a file with the suffix .rrd."""
+    """Folder that `dronevio run` wrote, a file with the suffix .rrd, or a page with the suffix .html."""
     web: bool = False
     """Serve the web viewer even if there is a display."""
     port: Annotated[int, Range(0, 65535)] = 9090
@@ -47,14 +49,36 @@ class ViewCommand(Settings):
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Replace this process by the viewer, so that a signal to it ends the viewer."""
+    """Open a page, or replace this process by the viewer, so that a signal to it ends the viewer."""
     command = parse(ViewCommand, arguments, "view")
+    if command.run.suffix == ".html":
+        _open_page(command.run)
+    else:
+        _become_viewer(command)
+    return 0
+
+
+def _become_viewer(command: ViewCommand) -> NoReturn:
+    """Replace this process by the viewer of a recording."""
     recording = find_recording(command.run)
     viewer, web_address, _ = viewer_command(command.web, command.port)
     if web_address:
         print(f"Open {web_address} in a browser. Ctrl-C ends the viewer.", flush=True)
     os.environ.setdefault("RUST_LOG", "warn")
     os.execv(viewer[0], [*viewer, str(recording)])
+
+
+def _open_page(page: Path) -> None:
+    """Open a page in the browser, and print its address for a browser that does not open by itself."""
+    check_regular_file(page, "a page that a command wrote")
+    if not page.exists():
+        raise InputError(page, "no such file", "a page that a command wrote, such as report.html")
+    address = page.resolve().as_uri()
+    print(f"Open {address} in a browser.")
+    if has_display(sys.platform, os.environ):
+        import webbrowser
+
+        webbrowser.open(address)
 
 
 def viewer_command(web: bool = False, port: int = 9090) -> tuple[list[str], str, str]:
