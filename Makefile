@@ -1,6 +1,6 @@
 # Everything happens in this folder: uv and the packages are brought into .uv/ and .venv/ when they are first needed.
 
-.PHONY: help setup run test check lint format types contracts docs docs-serve lessons pictures seeds
+.PHONY: help setup run test check lint format types contracts docs docs-serve lesson lessons pictures seeds
 
 help:
 	@echo "make run [ARGS='--seed 3']   fly, estimate, score and report"
@@ -8,6 +8,7 @@ help:
 	@echo "make check                   lint, format, types and import contracts"
 	@echo "make docs                    build the documentation site in build/site"
 	@echo "make docs-serve              show it on 127.0.0.1:8000 while pages are edited"
+	@echo "make lesson NAME=imu         open a lesson in JupyterLab, in this folder"
 	@echo "make lessons                 execute the lessons of dronevio book open, and the changes that break them"
 	@echo "make pictures                make the README's table and pictures anew, from the same runs"
 	@echo "make seeds                   fly seeds 0 to 9 and print the README's table"
@@ -42,6 +43,10 @@ docs: setup
 
 docs-serve: setup
 	@tools/docs.sh serve --dev-addr 127.0.0.1:8000
+
+lesson: setup
+	@tools/uv sync --locked --quiet --inexact --extra book </dev/null
+	@.venv/bin/dronevio book open $(NAME) $(if $(NAME),--lab)
 
 lessons: setup
 	@tools/uv sync --locked --quiet --inexact --group lessons </dev/null

@@ -180,8 +180,7 @@ def _preface(name: str) -> list[str]:
         "",
         "    ```sh",
         "    pip install 'dronevio[book]'",
-        f"    dronevio book open {name}",
-        f"    jupyter lab {name}.ipynb",
+        f"    dronevio book open {name} --lab",
         "    ```",
         "",
     ]

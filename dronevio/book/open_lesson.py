@@ -3,9 +3,14 @@
 A lesson is a Python script in Jupytext's percent format, ``dronevio/book/lessons/NAME.py``.
 """
 
+import os
+import shlex
+import subprocess
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +18,7 @@ import tyro
 
 from dronevio.cli.terminal import parse, print_table
 from dronevio.models.errors import ConfigError, unknown_name
+from dronevio.models.extras import install_command
 
 if TYPE_CHECKING:
     from nbformat import NotebookNode
@@ -36,11 +42,12 @@ class OpenCommand:
     """Copy a lesson on section 7.4 of the book out as a Jupyter notebook, or list the lessons.
 
     Each lesson goes from the equations of the book to the functions of this package, step by step, with pictures,
-    exercises and changes that make it fail. It requires JupyterLab and Jupytext: pip install 'dronevio[book]'.
+    exercises and changes that make it fail. It requires JupyterLab and Jupytext, which the extra book installs.
 
     Examples:
       dronevio book open
       dronevio book open imu
+      dronevio book open imu --lab
       dronevio book open imu --out lessons/first.ipynb --overwrite
     """
 
@@ -50,6 +57,9 @@ class OpenCommand:
     """Notebook to write, NAME.ipynb in the current folder by default, or a folder for it."""
     overwrite: bool = False
     """Replace an existing notebook, with all changes that were made in it."""
+    lab: bool = False
+    """Open the notebook in JupyterLab, which serves it to browsers on this machine. An existing one is opened as it
+    is."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -62,15 +72,23 @@ def main(arguments: Sequence[str]) -> int:
 
     from dronevio.cli.output_files import atomic_file, require_free
 
-    target = _target(command.lesson, command.out)
+    target, lab = _target(command.lesson, command.out), find_spec("jupyterlab") is not None
     notebook = read_lesson(command.lesson)
     import nbformat
 
-    require_free(target, command.overwrite)
-    with atomic_file(target) as partial:
-        nbformat.write(notebook, partial)
+    if command.lab and not lab:
+        raise ConfigError(f"--lab without JupyterLab; expected it installed: {install_command('book')}")
+    if not (command.lab and target.exists() and not command.overwrite):
+        require_free(target, command.overwrite)
+        with atomic_file(target) as partial:
+            nbformat.write(notebook, partial)
     print(f"notebook: {target}")
-    print(f"open it:  jupyter lab {target}")
+    if command.lab:
+        as_root = ["--allow-root"] if os.geteuid() == 0 else []  # as in containers
+        server = [sys.executable, "-m", "jupyterlab", "--ip=127.0.0.1", *as_root, str(target)]
+        return subprocess.run(server, check=False).returncode
+    again = shlex.join(["dronevio", "book", "open", command.lesson, *(["--out", str(target)] if command.out else [])])
+    print(f"open it:  {again} --lab" if lab else f"to open it, install JupyterLab: {install_command('book')}")
     return 0
 
 
@@ -95,7 +113,7 @@ def read_lesson(name: str) -> "NotebookNode":
     try:
         import jupytext
     except ImportError:
-        raise ConfigError("a notebook needs Jupytext; expected it installed: pip install 'dronevio[book]'") from None
+        raise ConfigError(f"a notebook needs Jupytext; expected it installed: {install_command('book')}") from None
     notebook: NotebookNode = jupytext.reads(source, fmt="py:percent")
     notebook.metadata = {"kernelspec": KERNEL, "language_info": {"name": "python"}}
     return notebook

@@ -12,6 +12,7 @@ from dronevio.eval.benchmark.engines import JobEnd, JobEvent
 from dronevio.eval.benchmark.jobs import Job
 from dronevio.eval.benchmark.rows import Row
 from dronevio.models.errors import ConfigError
+from dronevio.models.extras import install_command
 
 _JOBS_PER_CORE = 2  # submitted at a time, so that no core waits and Ray's tables stay small
 
@@ -94,5 +95,5 @@ def _import_ray() -> Any:
     try:
         import ray  # type: ignore[import-not-found, unused-ignore]
     except ImportError:
-        raise ConfigError("the engine ray needs Ray; expected it installed: pip install 'dronevio[ray]'") from None
+        raise ConfigError(f"the engine ray needs Ray; expected it installed: {install_command('ray')}") from None
     return ray

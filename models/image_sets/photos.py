@@ -17,6 +17,7 @@ import numpy as np
 
 from dronevio.models.arrays import Image
 from dronevio.models.errors import InputError
+from dronevio.models.extras import install_command
 from dronevio.models.image_sets.geotags import GeoTag, read_geotag
 from dronevio.models.image_sets.intrinsics import ExifCamera, exif_camera
 from dronevio.models.recordings.bit_depth import MAX_BITS, DeepImage, significant_bits, spread, to_8bit
@@ -36,7 +37,7 @@ OTHER_SUFFIXES = (
     ".rw2", ".raf", ".pef", ".srw", ".insp"
 )  # fmt: skip
 """Suffixes of images that are not read, in lower case."""
-HEIF = ("HEIC, which needs the package pillow-heif", "pip install pillow-heif, or JPEG files")
+HEIF = ("HEIC, which needs the package pillow-heif", f"{install_command('heif')}, or JPEG files")
 """What is found, and what is expected instead, where images of iPhones cannot be read."""
 
 Result = TypeVar("Result")

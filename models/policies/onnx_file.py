@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
+from dronevio.models.extras import install_command
 from dronevio.models.policies.network import Network
 from dronevio.models.policies.policy import Policy
 from dronevio.models.policies.policy_file import METADATA_KEY, description
@@ -35,7 +36,7 @@ def write_onnx(path: str | Path, policy: Policy) -> None:
         import onnx
     except ImportError:
         raise ConfigError(
-            "ONNX export without the package onnx; expected it, by `pip install 'dronevio[onnx]'`"
+            f"ONNX export without the package onnx; expected it, by `{install_command('onnx')}`"
         ) from None
     model = onnx.helper.make_model(
         _graph(policy),

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
+from dronevio.models.extras import install_command
 from dronevio.models.geodesy import FLATTENING, SEMI_MAJOR_M, GeodeticPoint
 from dronevio.models.recordings.files import write_bytes
 from dronevio.models.surfaces import OverheadMap
@@ -32,7 +33,7 @@ def check_geotiff() -> None:
     try:
         import rasterio  # noqa: F401
     except ImportError:
-        raise ConfigError("GeoTIFF without rasterio; expected it, by `pip install 'dronevio[geo]'`") from None
+        raise ConfigError(f"GeoTIFF without rasterio; expected it, by `{install_command('geo')}`") from None
 
 
 def write_orthophoto(path: Path, view: OverheadMap, origin: GeodeticPoint | None = None) -> None:

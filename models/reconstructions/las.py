@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from dronevio.models.errors import ConfigError
+from dronevio.models.extras import install_command
 from dronevio.models.recordings.files import write_bytes
 from dronevio.models.surfaces import PointCloud
 
@@ -28,7 +29,7 @@ def check_las() -> None:
         import laspy  # noqa: F401
         import lazrs  # noqa: F401
     except ImportError:
-        raise ConfigError("LAS without laspy and lazrs; expected them, by `pip install 'dronevio[las]'`") from None
+        raise ConfigError(f"LAS without laspy and lazrs; expected them, by `{install_command('las')}`") from None
 
 
 def write_las(path: Path, cloud: PointCloud) -> None:

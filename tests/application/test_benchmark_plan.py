@@ -14,6 +14,7 @@ from dronevio.benchmark.variants import variant_of
 from dronevio.cli import main
 from dronevio.estimators.registry import ESTIMATORS, estimator_named
 from dronevio.models.errors import ConfigError, EvaluationError, InputError
+from dronevio.models.extras import install_command
 from dronevio.models.rig_presets import rig_named
 from dronevio.sim.scenarios import scenario_named
 
@@ -154,4 +155,4 @@ def test_without_ray_its_engine_says_what_to_install(
     monkeypatch.setitem(sys.modules, "ray", None)
     arguments = ["--recordings", str(flown.folder), "--engine", "ray", "--out", str(tmp_path)]
     assert main(["benchmark", *arguments]) == 2
-    assert "pip install 'dronevio[ray]'" in capsys.readouterr().err
+    assert install_command("ray") in capsys.readouterr().err

@@ -3,6 +3,7 @@
 import ast
 import json
 import re
+import subprocess
 import sys
 from collections.abc import Callable
 from importlib.resources import files
@@ -13,8 +14,10 @@ import jupytext
 import nbformat
 import pytest
 
+from dronevio.book import open_lesson
 from dronevio.book.open_lesson import LESSONS, lesson_source, read_lesson
 from dronevio.cli import main
+from dronevio.models.extras import install_command
 
 # --- the scripts
 
@@ -90,7 +93,7 @@ def test_a_lesson_is_copied_out(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["book", "open", "imu"]) == 0
-    assert "jupyter lab imu.ipynb" in capsys.readouterr().out
+    assert "notebook: imu.ipynb" in capsys.readouterr().out
     notebook = nbformat.read(tmp_path / "imu.ipynb", as_version=4)
     nbformat.validate(notebook)
     assert notebook.metadata.kernelspec.name == "python3"
@@ -119,12 +122,38 @@ def test_wrong_names_are_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture
     assert not list(tmp_path.iterdir())
 
 
+def test_a_lesson_opens_in_jupyterlab(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On this machine only; a changed notebook is opened as it is. Without JupyterLab, its installation is named."""
+    started, target = list[list[str]](), tmp_path / "imu.ipynb"
+    command = ["book", "open", "imu", "--out", str(target)]
+    monkeypatch.setattr(open_lesson, "find_spec", lambda name: None)
+    assert main([*command, "--lab"]) == 2
+    assert install_command("book") in capsys.readouterr().err and not target.exists()
+    assert main(command) == 0
+    assert install_command("book") in capsys.readouterr().out
+    target.write_text("changed", encoding="utf-8")
+
+    def run(words: list[str], **_: object) -> subprocess.CompletedProcess[bytes]:
+        started.append(words)
+        return subprocess.CompletedProcess(words, 0)
+
+    monkeypatch.setattr(open_lesson, "find_spec", lambda name: object())
+    monkeypatch.setattr(subprocess, "run", run)
+    assert main([*command, "--lab"]) == 0
+    assert started[0][1:4] == ["-m", "jupyterlab", "--ip=127.0.0.1"] and started[0][-1] == str(target)
+    assert target.read_text(encoding="utf-8") == "changed"
+    assert main([*command, "--overwrite"]) == 0
+    assert f"dronevio book open imu --out {target} --lab" in capsys.readouterr().out
+
+
 def test_the_missing_extra_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "jupytext", None)
     assert main(["book", "open", "imu", "--out", str(tmp_path / "imu.ipynb")]) == 2
-    assert "pip install 'dronevio[book]'" in capsys.readouterr().err
+    assert install_command("book") in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from dronevio.models.arrays import Array, Image
 from dronevio.models.errors import ConfigError
+from dronevio.models.extras import install_command
 from dronevio.sim.worlds.own.looks import reduced_image
 
 _TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # y is up in glTF
@@ -28,7 +29,7 @@ def glb_mesh(content: bytes) -> tuple[Array, Array | None, Image | None]:
     try:
         import trimesh
     except ModuleNotFoundError:
-        raise ConfigError("GLB without trimesh; expected it, by `pip install 'dronevio[glb]'`") from None
+        raise ConfigError(f"GLB without trimesh; expected it, by `{install_command('glb')}`") from None
     try:
         scene = trimesh.load_scene(io.BytesIO(content), file_type="glb", process=False)
         mesh: Any = scene.to_geometry()
