@@ -12,7 +12,7 @@ import pytest
 import dronevio as dv
 from dronevio.envs import DroneVectorEnv, OwnObservation, Randomization, policy_from_torch
 from dronevio.models.policies import Provenance
-from dronevio.sim.envs.tasks.task import PointGoals
+from dronevio.sim.envs.tasks.task import PointGoals, Transition
 from dronevio.sim.physics.vehicle_states import VehicleStates
 
 
@@ -140,6 +140,20 @@ def test_the_white_wall_is_a_task(example: Any) -> None:
     places = np.array([[4.4, 0.25, 1.5], [4.4, 0.35, 1.5], [4.4, 0.0, 1.5]])
     step = SimpleNamespace(t_s=task.episode_s - np.array([0.2, 0.2, 1.0]), after=VehicleStates.at(places))
     assert task.success(goals, step).tolist() == [True, False, False]
+
+
+def test_the_white_wall_rewards_a_small_uncertainty(example: Any) -> None:
+    """By its logarithm: a tenth costs ln 10 less, and what is below 1 cm nothing."""
+    pytest.importorskip("stable_baselines3")
+    wall = example("white_wall")
+    task, goals = wall.WhiteWall(uncertainty=0.5), PointGoals(np.tile([4.4, 0.0, 1.5], (3, 1)))
+    at = VehicleStates.at(np.zeros((3, 3)))
+    sigma_m = np.array([0.005, 0.01 * np.e, 0.1 * np.e])
+    step = Transition(
+        at, at, np.zeros((3, 4)), np.zeros((3, 4)), np.ones(3), np.zeros(3, bool), position_sigma_m=sigma_m
+    )
+    terms = task.reward_terms(goals, goals, step)
+    np.testing.assert_allclose(terms["uncertainty"], [0.0, -0.5, -0.5 - 0.5 * np.log(10.0)], atol=1e-12)
 
 
 def test_the_white_wall_in_a_short_training(example: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
