@@ -10,8 +10,8 @@ help:
 	@echo "make docs-serve              show it on 127.0.0.1:8000 while pages are edited"
 	@echo "make lesson NAME=imu         open a lesson in JupyterLab, in this folder"
 	@echo "make lessons                 execute the lessons of dronevio book open, and the changes that break them"
-	@echo "make pictures                make the README's table and pictures anew, from the same runs"
-	@echo "make seeds                   fly seeds 0 to 9 and print the README's table"
+	@echo "make pictures                make the table of ten seeds and the pictures anew, from the same runs"
+	@echo "make seeds                   fly seeds 0 to 9 and print their table"
 	@echo "make setup                   only set up; the others do it too"
 
 setup:

@@ -1,8 +1,8 @@
-"""Make the pictures of the README in docs/images: ``make pictures``.
+"""Make the pictures of the pages in docs/images: ``make pictures``.
 
 Screenshots are taken of a run's report in a browser and of its rerun file in the viewer. ``docs/images/figures.json``
 records the scores of that run and the hashes of the pictures, so that the tests notice pictures of another run than
-that of the README's table; ``make pictures`` makes both from the same runs. This needs Chromium, and a Vulkan driver
+that of the table of ten seeds; ``make pictures`` makes both from the same runs. This needs Chromium, and a Vulkan driver
 for the viewer. ``apt-get install chromium mesa-vulkan-drivers`` installs both on a machine without a graphics card.
 """
 
@@ -276,7 +276,7 @@ def record_figures(run: Path) -> None:
 
 @dataclass(frozen=True)
 class PicturesCommand:
-    """Make the pictures of the README."""
+    """Make the pictures of the pages."""
 
     run: Path | None = None
     """Folder of the run to show; by default the default scenario is run."""

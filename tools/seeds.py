@@ -1,6 +1,6 @@
 """Run a scenario with seeds 0 to 9 and print scores and costs as a Markdown table: ``make seeds``.
 
-With ``ARGS=--write``, the table in the README is replaced. Each seed is one ``dronevio run`` in a process of its own.
+With ``ARGS=--write``, the table in ``docs/getting-started.md`` is replaced. Each seed is one ``dronevio run`` in a process of its own.
 Times are those of the whole command. The memory is the peak of all its processes together, sampled ten times per
 second; shared pages count once on Linux, and once per process on other systems.
 """
@@ -20,7 +20,7 @@ import psutil
 import tyro
 
 SAMPLE_EVERY_S = 0.1
-README = Path(__file__).resolve().parents[1] / "README.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "getting-started.md"
 BEGINNING, END = "<!-- seeds -->", "<!-- /seeds -->"
 
 
@@ -33,7 +33,7 @@ class SeedsCommand:
     scenario: str = "room"
     """Name of the scenario."""
     write: bool = False
-    """Replace the table in the README."""
+    """Replace the table in the documentation."""
     keep: Path | None = None
     """Folder in which the runs are kept, in a subfolder for each seed; by default they are deleted."""
 
@@ -118,7 +118,7 @@ def memory_of(process: psutil.Process) -> int:
 
 
 def main(command: SeedsCommand) -> int:
-    """Run all seeds, print the table, and replace that in the README if this is asked for."""
+    """Run all seeds, print the table, and replace that in the documentation if this is asked for."""
     values, report = [], {}
     with tempfile.TemporaryDirectory(prefix="dronevio-") as folder:
         for seed in command.seeds:
@@ -131,9 +131,9 @@ def main(command: SeedsCommand) -> int:
     text = f"{seeds_table(command.seeds, values)}\n\n{provenance(report)}"
     print(text)
     if command.write:
-        before, _, rest = README.read_text(encoding="utf-8").partition(BEGINNING)
+        before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGINNING)
         after = rest.partition(END)[2]
-        README.write_text("\n".join([before + BEGINNING, "", text, "", END]) + after, encoding="utf-8")
+        PAGE.write_text("\n".join([before + BEGINNING, "", text, "", END]) + after, encoding="utf-8")
     return 0
 
 
