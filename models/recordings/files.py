@@ -1,5 +1,6 @@
 """Reading and atomic writing of files, with errors that name the file."""
 
+import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -160,10 +161,12 @@ def check_output_path(path: Path) -> None:
     """Check that a path can be the name of a new file.
 
     Raises:
-        InputError: The path is a folder, or one of its parent folders is a file.
+        InputError: The path is a folder, or its folder is a file or read-only.
     """
     if path.is_dir():
         raise InputError(path, "a folder", "the name of a file to write")
-    for folder in path.absolute().parents:
-        if folder.exists() and not folder.is_dir():
-            raise InputError(path, f"{folder} is a file", "a folder to write to")
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
+    if not folder.is_dir():
+        raise InputError(path, f"{folder} is a file", "a folder to write to")
+    if not os.access(folder, os.W_OK):
+        raise InputError(path, f"the folder {folder} is read-only", "a folder to write to")

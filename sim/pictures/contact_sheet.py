@@ -9,6 +9,7 @@ import numpy as np
 from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
+from dronevio.models.recordings.files import check_output_path
 from dronevio.models.rotation import exp_so3, rotation_z
 from dronevio.sim.appearance.textures import to_image
 from dronevio.sim.cameras.camera import OffscreenCamera
@@ -98,6 +99,7 @@ def require_picture(path: Path) -> None:
     """Raise InputError unless the file can be written and its suffix is that of an image format."""
     if not path.parent.is_dir():
         raise InputError(path, "no such folder", "a file in a folder that exists")
+    check_output_path(path)
     if not path.suffix or not cv2.haveImageWriter(path.name):
         raise InputError(path, f"the ending {path.suffix!r}", "that of an image, such as .png or .jpg")
 

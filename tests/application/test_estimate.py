@@ -1,6 +1,7 @@
 """``dronevio estimate`` and the estimators of ``dronevio benchmark`` on a flight with two cameras."""
 
 import json
+import os
 import re
 import shutil
 from collections.abc import Callable
@@ -15,6 +16,7 @@ import dronevio as dv
 from dronevio.benchmark.jobs import scenario_flights
 from dronevio.cli import main
 from dronevio.cli.commands.estimate import EstimateCommand, check_places, numbered, result_files
+from dronevio.cli.options import OutputOptions
 from dronevio.estimators.registry import ESTIMATORS, estimator_named
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
@@ -129,7 +131,7 @@ def test_map_leaves_the_odometry_as_it_is(
         assert (tmp_path / f"same_{suffix}.tum").read_bytes() == expected
     assert (document["colmap"], document["ply"]) == (str(folder), str(cloud))
     check_exports(folder, cloud, stereo.folder / "recording", tmp_path / "same_map_final.tum", document)
-    again = ["estimate", str(stereo.folder / "recording"), *map(str, arguments)]
+    again = ["estimate", str(stereo.folder / "recording"), *map(str, arguments), "--overwrite"]
     assert main(again) == 2
     assert "it exists already; expected a new name for the folder of --save-colmap" in capsys.readouterr().err
 
@@ -242,6 +244,31 @@ def test_exports_of_segments_have_numbers(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="colmap_2: it exists already"):
         check_places(second)
     check_places(command)
+
+
+def test_results_are_replaced_on_demand_only(tmp_path: Path) -> None:
+    (tmp_path / "e_map.tum").touch()
+    (tmp_path / "room.map").touch()
+    command = EstimateCommand(tmp_path, tmp_path / "e.tum", slam=True)
+    with pytest.raises(InputError, match=r"e_map.tum: it exists already; expected a new name, or --overwrite"):
+        check_places(command)
+    allowed = replace(command, output=OutputOptions(overwrite=True))
+    check_places(allowed)
+    check_places(replace(command, slam=False))  # writes no e_map.tum
+    with pytest.raises(InputError, match=r"room\.map"):
+        check_places(replace(command, out=tmp_path / "new.tum", save_map=tmp_path / "room.map"))
+    same = {"saved_map": tmp_path / "room.map", "save_map": tmp_path / "room.map"}
+    check_places(replace(command, out=tmp_path / "new.tum", **same))  # the map that the flight continues
+
+
+def test_read_only_folder_is_noticed_before_the_estimation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "disc"
+    folder.mkdir()
+    folder.chmod(0o555)
+    if os.access(folder, os.W_OK):  # as the superuser
+        monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != folder)
+    with pytest.raises(InputError, match=r"the folder .*disc is read-only; expected a folder to write to"):
+        check_places(EstimateCommand(tmp_path, folder / "results" / "e.tum"))
 
 
 def test_dead_mapping_process_is_reported_as_a_defect(

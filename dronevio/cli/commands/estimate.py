@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from dronevio.cli.imported_settings import ImportedSettings
-from dronevio.cli.options import Printing, PrintOptions, RecordingInput, RecordingOptions
+from dronevio.cli.options import Output, OutputOptions, RecordingInput, RecordingOptions
 from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
 from dronevio.cli.settings.option_tables import ESTIMATOR, MAP, options_from
 from dronevio.cli.terminal import (
@@ -71,7 +71,7 @@ class EstimateCommand:
       dronevio estimate MH_01_easy.bag --calibration camchain.yaml imu.yaml
       dronevio estimate GOPR0001.MP4 --calibration camera.yaml --imu MPU-6050
       dronevio estimate flight.mcap --strict --estimator.gravity-m-s2 9.80
-      dronevio estimate V1_01_easy --slam --out v101.tum
+      dronevio estimate V1_01_easy --slam --out v101.tum --overwrite
       dronevio estimate V1_01_easy --slam --save-map v1.map
       dronevio estimate V1_01_easy --slam --save-g2o v1.g2o
       dronevio estimate V1_01_easy --slam --save-colmap v1-colmap --save-ply v1.ply
@@ -106,8 +106,8 @@ class EstimateCommand:
     """Second TUM file to write: one pose per IMU sample, propagated from the estimate of the newest frame before it."""
     reading: RecordingInput = field(default_factory=RecordingOptions)
     """How the recording is read."""
-    printing: Printing = field(default_factory=PrintOptions)
-    """How results are printed."""
+    output: Output = field(default_factory=OutputOptions)
+    """How results are written and printed."""
     estimator: "VioConfig" = field(
         default_factory=ImportedSettings("dronevio.estimator.config", "VioConfig"), metadata=options_from(ESTIMATOR)
     )
@@ -246,9 +246,9 @@ def main(arguments: Sequence[str]) -> int:
             if len(segments) == 1:
                 raise
             print_warning(f"{segment.name}: {error}")
-        if not command.printing.json:
+        if not command.output.json:
             print_estimation(of_segment, estimation, summaries[-1])
-    if command.printing.json:
+    if command.output.json:
         document = {"recording": str(command.recording), "segments": summaries}
         print_json(summaries[0] if len(segments) == 1 else document)
     return 0
@@ -325,17 +325,19 @@ def result_files(command: EstimateCommand) -> dict[str, Path]:
 
 
 def check_places(command: EstimateCommand) -> None:
-    """Check that the files and folders of a command can be written.
+    """Check that the files and folders of a command can be written. The map of --map may be saved in its file again.
 
     Raises:
-        InputError: One of them cannot, or the folder of --save-colmap exists and is not empty.
+        InputError: One of them cannot or exists, or the folder of --save-colmap exists and is not empty.
     """
+    from dronevio.cli.output_files import require_free
     from dronevio.models.errors import InputError
     from dronevio.models.recordings.files import check_output_path
 
     for place in result_files(command).values():
         if place is not command.save_colmap or not place.exists():
             check_output_path(place)
+            require_free(place, command.output.overwrite or place == command.saved_map)
         elif not place.is_dir() or any(place.iterdir()):
             raise InputError(place, "it exists already", "a new name for the folder of --save-colmap")
 
@@ -372,7 +374,7 @@ def estimated(command: EstimateCommand, recording: "StoredRecording") -> Estimat
     config = command.estimator
     imu_rate = ImuRateObserver(recording.rig.imu, config.preintegration, config.gravity_m_s2)
     observers = () if command.imu_rate is None else (imu_rate,)
-    with progress_bars(quiet=command.printing.json) as bars:
+    with progress_bars(quiet=command.output.json) as bars:
         slam = slam_of(command, recording.rig) if command.slam else None
         estimator = slam or VisualInertialOdometry(recording.rig, config)
         run = estimate_recording(recording, estimator, bars.bar("estimating"), observers)
