@@ -160,7 +160,11 @@ def test_pictures_are_those_of_the_table() -> None:
     """The scores of the run in the pictures are those of its seed's row, and the pictures are those that were made."""
     recorded = json.loads((CHECKOUT / "docs" / "images" / "figures.json").read_text(encoding="utf-8"))
     text = PAGES["docs/getting-started.md"]
-    lines = [line for line in text.partition("<!-- seeds -->")[2].splitlines() if line.startswith("|")]
+    lines = [
+        line
+        for line in text.partition("<!-- seeds -->")[2].partition("<!-- /seeds -->")[0].splitlines()
+        if line.startswith("|")
+    ]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     [row] = [dict(zip(rows[0], cells, strict=True)) for cells in rows[2:] if cells[0] == str(recorded["seed"])]
     assert recorded["figures"] and {title: row[title] for title in recorded["figures"]} == recorded["figures"]
