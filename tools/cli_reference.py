@@ -5,20 +5,14 @@ The commands are found by their help texts: a block of indented ``name  summary`
 """
 
 import argparse
-import contextlib
-import io
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from unittest.mock import patch
+
+from dronevio.cli.commands.completion import help_text
 
 PROGRAM = "dronevio"
-COLUMNS = 99
-"""Width of the help texts. Up to this width, tyro prints its groups of options below each other."""
-
-
 ALL_SETTINGS = "all-settings.md"
 """File name of the page of all settings."""
 
@@ -57,24 +51,9 @@ class Group:
 
 def commands(words: tuple[str, ...] = ()) -> list[Command]:
     """Return a command and all commands below it, in the order in which the help texts list them."""
-    text = help_text(words)
+    text = help_text(words, "--help-all")
     command = Command(words, text, listed_commands(text))
     return [command, *(found for name in command.subcommands for found in commands((*words, name)))]
-
-
-def help_text(words: tuple[str, ...]) -> str:
-    """Return what a command prints with ``--help-all``."""
-    from dronevio.cli import main
-
-    printed = io.BytesIO()
-    terminal = {"COLUMNS": str(COLUMNS), "NO_COLOR": "1", "TERM": "dumb"}
-    with patch.dict(os.environ, terminal), io.TextIOWrapper(printed, encoding="utf-8", write_through=True) as stream:
-        with contextlib.redirect_stdout(stream), contextlib.suppress(SystemExit):
-            main([*words, "--help-all"])
-        text = printed.getvalue().decode()
-    if not text:
-        raise RuntimeError(f"{PROGRAM} {' '.join(words)} --help-all printed nothing")
-    return text
 
 
 def listed_commands(text: str) -> dict[str, str]:

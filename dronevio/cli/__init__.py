@@ -65,6 +65,9 @@ COMMANDS = CommandGroup(
         "view": Subcommand("dronevio.cli.commands.view", "open the rerun file of a run"),
         "book": Subcommand("dronevio.book", "run the experiments of a robotics book's section on visual SLAM"),
         "speed": Subcommand("dronevio.cli.commands.speed", "measure the speed of the simulator and of the evaluation"),
+        "completion": Subcommand(
+            "dronevio.cli.commands.completion", "print a script that lets a shell complete commands and options"
+        ),
         "doctor": Subcommand(
             "dronevio.cli.commands.doctor", "check this machine for the software and drivers that are needed"
         ),
