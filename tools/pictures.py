@@ -3,7 +3,8 @@
 Screenshots are taken of a run's report in a browser and of its rerun file in the viewer. ``docs/images/figures.json``
 records the scores of that run and the hashes of the pictures, so that the tests notice pictures of another run than
 that of the table of ten seeds; ``make pictures`` makes both from the same runs. This needs Chromium, and a Vulkan
-driver for the viewer. ``apt-get install chromium mesa-vulkan-drivers`` installs both on a machine without a graphics card.
+driver for the viewer. ``apt-get install chromium mesa-vulkan-drivers`` installs both on a machine without a graphics
+card.
 """
 
 import hashlib

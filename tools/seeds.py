@@ -1,8 +1,8 @@
 """Run a scenario with seeds 0 to 9 and print scores and costs as a Markdown table: ``make seeds``.
 
 With ``ARGS=--write``, the table in ``docs/getting-started.md`` is replaced. Each seed is one ``dronevio run`` in a
-process of its own. Times are those of the whole command. The memory is the peak of all its processes together, sampled ten times per
-second; shared pages count once on Linux, and once per process on other systems.
+process of its own. Times are those of the whole command. The memory is the peak of all its processes together, sampled
+ten times per second; shared pages count once on Linux, and once per process on other systems.
 """
 
 import json

@@ -5,7 +5,7 @@ import importlib
 import io
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
 from unittest.mock import patch
@@ -87,7 +87,8 @@ def help_text(words: Sequence[str], option: str = "--help") -> str:
 
 def _of_command(words: tuple[str, ...]) -> Completions:
     """Return what can follow a command, by its help text."""
-    known, options = _known_values(), {}
+    known = _known_values()
+    options: dict[str, tuple[str, ...]] = {}
     for line in _OPTION.findall(help_text(words)):
         [*others, last] = line.split(", ")
         name, _, form = last.partition(" ")
@@ -105,7 +106,7 @@ def _known_values() -> dict[str, tuple[str, ...]]:
     from dronevio.sim.scenarios import SCENARIOS
     from dronevio.sim.world import WORLDS
 
-    named = {"--scenario": SCENARIOS, "--world": WORLDS, "--rig": RIGS, "--vehicle": VEHICLES}
+    named: dict[str, Iterable[str]] = {"--scenario": SCENARIOS, "--world": WORLDS, "--rig": RIGS, "--vehicle": VEHICLES}
     return {option: tuple(names) for option, names in named.items()}
 
 
