@@ -9,9 +9,11 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import ClassVar, Self
+from typing import ClassVar, Self, TypeVar
 
 from dronevio.models.errors import ConfigError
+
+Kind = TypeVar("Kind")
 
 PREFIX = "python:"
 """Prefix of a name of an object of the user."""
@@ -61,6 +63,22 @@ class PythonName:
                 f"{self.what} {self}: cannot import {self.module}: {reason}; expected a module that is installed or is"
                 f" in {Path.cwd()}"
             ) from error
+
+    def instance_of(self, kind: type[Kind]) -> Kind:
+        """Return the object; its module is imported.
+
+        Args:
+            kind: Class of the object.
+
+        Raises:
+            ConfigError: The module cannot be imported, or has no such object.
+        """
+        found = getattr(self.imported_module(), self.name, None)
+        if isinstance(found, kind):
+            return found
+        problem = "no such name" if found is None else f"an object of type {type(found).__name__}"
+        public = ".".join(kind.__module__.split(".")[:2])
+        raise ConfigError(f"{self.what} {self}: {problem}; expected an instance of {public}.{kind.__name__}")
 
     def __str__(self) -> str:
         """Return the text that names the object."""

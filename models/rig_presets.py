@@ -5,7 +5,8 @@ and face exactly forward, so that they differ in their lenses only.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from dronevio.models.camera import CameraModel
 from dronevio.models.errors import unknown_name
 from dronevio.models.imu import EUROC_IMU, ImuModel
 from dronevio.models.imu_presets import BMI088
+from dronevio.models.python_names import PREFIX, PythonName
 from dronevio.models.rig import EUROC_CAM1, EUROC_T_IMU_CAM1, Rig, RigCamera, euroc_rig
 from dronevio.models.rotation import pose_matrix
 
@@ -89,6 +91,13 @@ def _rolling() -> Rig:
     return replace(mono, cameras=(replace(mono.cameras[0], readout_s=_ROLLING_READOUT_S),))
 
 
+@dataclass(frozen=True)
+class PythonRig(PythonName):
+    """Name of a rig in a module."""
+
+    what: ClassVar[str] = "rig"
+
+
 RIGS: dict[str, Callable[[], Rig]] = {
     "euroc": euroc_rig,
     "euroc-stereo": _euroc_stereo,
@@ -109,11 +118,14 @@ def rig_named(name: str) -> Rig:
         name: One of `RIGS`: ``euroc`` (radtan, monocular, the default), ``euroc-stereo``, ``rolling`` (EuRoC's camera
             with a rolling shutter of 30 ms), ``pinhole``, ``pinhole-stereo`` (rectified, 11 cm baseline), ``fisheye``
             (154° horizontally, 230° diagonally), ``fisheye-stereo`` (133° and 170°, 8 cm baseline), ``nano``
-            (324 × 244, rolling shutter, with the BMI088 of Bitcraze's Crazyflie).
+            (324 × 244, rolling shutter, with the BMI088 of Bitcraze's Crazyflie); or ``python:package.module:NAME``,
+            a `Rig` of your own.
 
     Raises:
         ConfigError: There is no rig with this name.
     """
+    if name.startswith(PREFIX):
+        return PythonRig.parse(name).instance_of(Rig)
     if name not in RIGS:
-        raise unknown_name("rig", name, RIGS)
+        raise unknown_name("rig", name, (*RIGS, f"{PREFIX}package.module:NAME"))
     return RIGS[name]()

@@ -5,9 +5,12 @@ the next version, and the old version remains.
 """
 
 import math
-from dataclasses import replace
+import re
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 from dronevio.models.errors import ConfigError, unknown_name
+from dronevio.models.python_names import PREFIX, PythonName
 from dronevio.models.quadrotor import NANO
 from dronevio.models.rig_presets import rig_named
 from dronevio.sim.cameras.exposure import AutoExposure
@@ -279,21 +282,44 @@ the nine flights on which the accuracy of the odometry is stated; ``normal`` has
 those of several laps and of the office; ``stress`` begins with the flight without a fault."""
 
 
+@dataclass(frozen=True)
+class PythonScenario(PythonName):
+    """Name of a scenario in a module."""
+
+    what: ClassVar[str] = "scenario"
+
+
 def scenario_named(name: str, seed: int | None = None) -> Scenario:
     """Return a scenario, optionally with another seed.
 
     Args:
-        name: A key of `SCENARIOS`; without a version, the latest version of that name.
+        name: A key of `SCENARIOS`; without a version, the latest version of that name. Or
+            ``python:package.module:NAME``, a `Scenario` of your own.
         seed: Zero or more.
 
     Raises:
         ConfigError: The scenario is unknown, or the seed is negative.
     """
+    if seed is not None and seed < 0:
+        raise ConfigError(f"seed {seed}; expected 0 or more")
+    found = _own(name) if name.startswith(PREFIX) else _known(name)
+    return found if seed is None else replace(found, seed=seed)
+
+
+def _known(name: str) -> Scenario:
     versions = [known for known in SCENARIOS if known == name or known.rpartition("-v")[0] == name]
     if not versions:
-        raise unknown_name("scenario", name, SCENARIOS)
-    if seed is None:
-        return SCENARIOS[versions[-1]]
-    if seed < 0:
-        raise ConfigError(f"seed {seed}; expected 0 or more")
-    return replace(SCENARIOS[versions[-1]], seed=seed)
+        raise unknown_name("scenario", name, (*SCENARIOS, f"{PREFIX}package.module:NAME"))
+    return SCENARIOS[versions[-1]]
+
+
+def _own(name: str) -> Scenario:
+    """Return a scenario of a module, whose own name is a part of the names of files.
+
+    Raises:
+        ConfigError: There is none, or its name is none for files.
+    """
+    found = PythonScenario.parse(name).instance_of(Scenario)
+    if not re.fullmatch(r"\w[\w.-]*", found.name):
+        raise ConfigError(f"scenario {name}: its name {found.name!r}; expected letters, digits, hyphens and dots")
+    return found

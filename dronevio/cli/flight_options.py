@@ -93,7 +93,7 @@ class FlightOptions(Settings):
     """The scenario to simulate."""
 
     scenario: str = DEFAULT_SCENARIO
-    """Name of the scenario; `dronevio scenarios` lists them."""
+    """Name of the scenario; `dronevio scenarios` lists them. One of your own is python:package.module:NAME."""
     seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the world, the route and the errors of the sensors."""
     world_seed: Annotated[int | None, Range(0, 2**32 - 1)] = None
@@ -112,7 +112,7 @@ class FlightOptions(Settings):
     own, or python:package.module:NAME; `dronevio vehicles` describes them."""
     rig: str | None = None
     """Sensors that replace those of the scenario: a name such as euroc-stereo, fisheye or rolling, a Kalibr
-    camchain.yaml, or a recording with its calibration."""
+    camchain.yaml, a recording with its calibration, or python:package.module:NAME."""
     imu: str | None = None
     """IMU that replaces the one of the rig: euroc, ADIS16448, BMI088, MPU-6050 or tactical."""
     image_sensor: str | None = None
@@ -214,5 +214,6 @@ def parse_flight(command: type[Command], arguments: Sequence[str], name: str) ->
         named = first.parse_known_args(list(arguments))[0]
     except argparse.ArgumentError as error:
         raise ConfigError(f"{error.argument_name}: {error.message}") from None
-    options = FlightOptions.of(scenario_named(named.scenario), named.image_sensor)
+    of_scenario = FlightOptions.of(scenario_named(named.scenario), named.image_sensor)
+    options = replace(of_scenario, scenario=named.scenario)  # of one's own, the name does not find it again
     return parse(command, arguments, name, {"flight": options})

@@ -8,6 +8,7 @@ from dronevio.models.errors import ConfigError, IncompleteError
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Estimator
+from dronevio.models.python_names import PREFIX
 from dronevio.models.recordings.euroc import write_euroc
 from dronevio.models.recordings.files import write_text
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, frame_truth_text
@@ -201,20 +202,23 @@ def rig_of(name_or_file: str) -> Rig:
     """Return a rig by its name, or from the calibration in a file or folder.
 
     Args:
-        name_or_file: One of `RIGS`, a Kalibr ``camchain.yaml``, or a recording with its calibration.
+        name_or_file: One of `RIGS`, ``python:package.module:NAME``, a Kalibr ``camchain.yaml``, or a recording with its
+            calibration.
 
     Raises:
         ConfigError: There is neither a rig nor a file of this name.
         InputError: The file is damaged or not supported.
     """
     path = Path(name_or_file)
-    if name_or_file in RIGS or not path.exists():
-        if not path.exists() and (path.suffix or len(path.parts) > 1):
-            raise ConfigError(f"no rig {name_or_file!r}; expected an existing file or folder, or {', '.join(RIGS)}")
+    if name_or_file in RIGS or name_or_file.startswith(PREFIX):
         return rig_named(name_or_file)
-    from dronevio.models.recordings.open import read_rig
+    if path.exists():
+        from dronevio.models.recordings.open import read_rig
 
-    return read_rig(path)
+        return read_rig(path)
+    if path.suffix or len(path.parts) > 1:
+        raise ConfigError(f"no rig {name_or_file!r}; expected an existing file or folder, or {', '.join(RIGS)}")
+    return rig_named(name_or_file)  # which names similar ones
 
 
 def _settings(scenario: Scenario, flight: Flight) -> dict[str, object]:

@@ -23,6 +23,7 @@ from dronevio.eval.metrics.errors import (
     translation_errors_m,
 )
 from dronevio.eval.metrics.lengths import LengthErrors, errors_by_length
+from dronevio.eval.metrics.metric import Metric
 from dronevio.eval.metrics.pairs import PairRule, pairs_after_distance, pairs_after_time
 from dronevio.eval.metrics.reconstruction import (
     PositionComparison,
@@ -50,6 +51,7 @@ __all__ = [
     "Association",
     "Consistency",
     "LengthErrors",
+    "Metric",
     "PairRule",
     "PositionComparison",
     "ReconstructionStatistics",

@@ -44,10 +44,7 @@ def _of_module(named: PythonVehicle) -> Quadrotor:
     Raises:
         ConfigError: There is none, or it cannot fly.
     """
-    found = getattr(named.imported_module(), named.name, None)
-    if not isinstance(found, Quadrotor):
-        kind = "no such name" if found is None else f"an object of type {type(found).__name__}"
-        raise ConfigError(f"vehicle {named}: {kind}; expected an instance of dronevio.models.Quadrotor")
+    found = named.instance_of(Quadrotor)
     try:
         check_vehicle(found)
     except ConfigError as error:

@@ -90,7 +90,7 @@ def test_options_of_world_light_and_direction() -> None:
     chosen = parse_flight(FlyCommand, OPTIONS, "fly").flight.chosen()
     assert (chosen.seed, chosen.world_seed, chosen.light_seed, chosen.reverse) == (7, 3, 2, True)
     assert replace(chosen, seed=0, world_seed=None, light_seed=None, reverse=False) == scenario_named("room-easy")
-    assert repeating_command(chosen, OPTIONS) == (
+    assert repeating_command(chosen.name, chosen, OPTIONS) == (
         "dronevio run --scenario=room-easy-v0 --seed=7 --world-seed 3 --light-seed 2 --reverse"
     )
     assert FlightOptions.of(chosen).chosen() == chosen

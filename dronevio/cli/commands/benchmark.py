@@ -63,11 +63,11 @@ class BenchmarkCommand(Settings):
     """Name of a suite of scenarios: a world such as room, or a difficulty such as easy; explore for flights to goals
     through unknown worlds, see docs/explore.md, of which only --variants, --seeds, --workers and --out are options."""
     scenarios: tuple[str, ...] = ()
-    """Names of scenarios, which `dronevio scenarios` lists, and of the measured flights of the suite loops, such as
-    measured-MH_04, which exist where DRONEVIO_DATA names a folder with their data."""
+    """Names of scenarios, which `dronevio scenarios` lists, or python:package.module:NAME; and of the measured flights
+    of the suite loops, such as measured-MH_04, which exist where DRONEVIO_DATA names a folder with their data."""
     rig: str | None = None
-    """Sensors that replace those of the scenarios: a name such as euroc-stereo or fisheye, a Kalibr camchain.yaml, or a
-    recording with its calibration."""
+    """Sensors that replace those of the scenarios: a name such as euroc-stereo or fisheye, a Kalibr camchain.yaml, a
+    recording with its calibration, or python:package.module:NAME."""
     variants: tuple[str, ...] = ()
     """Variants of each scenario, whose rows are named SCENARIO+VARIANT: imu-100hz or imu-400hz, an IMU of that rate;
     noise-2x or noise-half, IMU noise that differs from the calibration; rig=NAME, other sensors; world=SEED, the world

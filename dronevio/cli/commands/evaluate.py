@@ -5,12 +5,13 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
 from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_json, print_table, print_values, print_warning
+from dronevio.models.python_names import PythonName
 from dronevio.models.ranges import Range, Settings
 
 if TYPE_CHECKING:
@@ -21,6 +22,13 @@ if TYPE_CHECKING:
 
 SPARSE_TRUTH_S = 0.1
 """Interval of the ground truth from which its interpolation is worth a warning [s]: at 2 m/s² it errs by 2.5 mm."""
+
+
+@dataclass(frozen=True)
+class PythonMetric(PythonName):
+    """Name of a metric in a module."""
+
+    what: ClassVar[str] = "metric"
 
 
 @dataclass(frozen=True)
@@ -38,6 +46,7 @@ class EvaluateCommand(Settings):
       dronevio evaluate truth.tum estimate.tum --rpe-delta 10 --rpe-unit m
       dronevio evaluate 00_gt.txt 00_mine.txt --kitti
       dronevio evaluate truth.csv estimate.tum --json
+      dronevio evaluate truth.tum estimate.tum --metrics python:my_metrics:FINAL_ERROR
     """
 
     truth: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TRUTH")]
@@ -80,6 +89,9 @@ class EvaluateCommand(Settings):
     """Lengths of the sub-trajectories for errors by length [m]. The default is 10, 20, 30, 40 and 50 % of the path."""
     kitti: bool = False
     """Also compute the metrics of the KITTI odometry benchmark, with its definitions."""
+    metrics: tuple[str, ...] = ()
+    """Metrics of your own that are also printed: python:package.module:NAME, a `dronevio.eval.metrics.Metric` whose
+    function is given the `ScoredTrajectory`."""
     plot: Path | None = None
     """PNG file for a plot of the paths and the errors."""
     printing: Printing = field(default_factory=PrintOptions)
@@ -91,13 +103,14 @@ def main(arguments: Sequence[str]) -> int:
     command = parse(EvaluateCommand, arguments, "evaluate")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # starting threads would cost more than they could save
 
-    from dronevio.eval.metrics import score_trajectory
+    from dronevio.eval.metrics import Metric, score_trajectory
     from dronevio.eval.metrics.time_offset import estimate_time_offset_s
     from dronevio.models.errors import InputError
 
     if _is_recording(command.estimate) and not _is_recording(command.truth):
         expected = f"the truth first: dronevio evaluate {command.estimate} {command.truth}"
         raise InputError(command.estimate, "it is a recording, which holds the truth", expected)
+    own = {text: PythonMetric.parse(text).instance_of(Metric) for text in command.metrics}
     estimate = _trajectory(command, command.estimate)
     truth = _trajectory(command, command.truth, estimate.t_ns)
     if command.association == "interpolate":
@@ -110,14 +123,18 @@ def main(arguments: Sequence[str]) -> int:
     )
     kitti = _kitti(command, scored) if command.kitti else None
     offset_s = estimate_time_offset_s(truth, estimate) if command.estimate_time_offset else None
+    own_values = {text: metric.of(scored) for text, metric in own.items()}
     if command.plot is not None:
         _plot(command.plot, scored)
     if command.printing.json:
         files = {"truth": str(command.truth), "estimate": str(command.estimate)}
-        optional = {"kitti": kitti and asdict(kitti), "best_time_offset_s": offset_s}
+        optional = {"kitti": kitti and asdict(kitti), "best_time_offset_s": offset_s, "own": own_values}
         print_json(files | asdict(scored.scores) | optional)
         return 0
     print_scores(f"{command.estimate} against {command.truth}", scored.scores)
+    if own:
+        rows = [(metric.label(""), metric.text(own_values[text]), metric.unit) for text, metric in own.items()]
+        print_values("Own metrics", rows)
     if kitti is not None:
         print_kitti(kitti)
     if offset_s is not None:

@@ -23,6 +23,7 @@ from dronevio.cli.terminal import (
     progress_bars,
     with_scenario,
 )
+from dronevio.models.python_names import PREFIX
 from dronevio.sim.closed_loop.settings import LoopSettings
 
 if TYPE_CHECKING:
@@ -132,7 +133,8 @@ def main(arguments: Sequence[str]) -> int:
         reserved_folder(target, command.output.overwrite, mark="report.json") as folder,
         progress_bars(quiet=command.output.json) as bars,
     ):
-        report = _run(scenario, command, mission, folder, target, repeating_command(chosen, arguments), bars)
+        repeat = repeating_command(command.flight.scenario, chosen, arguments)
+        report = _run(scenario, command, mission, folder, target, repeat, bars)
         if not command.keep_recording:
             shutil.rmtree(folder / "recording")
     collision = None if report.control is None else report.control.collision
@@ -249,14 +251,15 @@ def _configuration(scenario: "Scenario", command: RunCommand, mission: "PolicyMi
     }
 
 
-def repeating_command(scenario: "Scenario", arguments: Sequence[str]) -> str:
+def repeating_command(name: str, scenario: "Scenario", arguments: Sequence[str]) -> str:
     """Return the command that repeats a run, without the options that concern its output.
 
     Args:
-        scenario: The scenario of the run.
+        name: The scenario as it was named on the command line.
+        scenario: The scenario of the run, whose name has a version.
         arguments: The words after ``dronevio run``.
     """
-    words = [f"--scenario={scenario.name}", f"--seed={scenario.seed}"]
+    words = [f"--scenario={name if name.startswith(PREFIX) else scenario.name}", f"--seed={scenario.seed}"]
     rest = iter(arguments)
     for word in rest:
         name, equals, _ = word.partition("=")
