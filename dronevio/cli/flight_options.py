@@ -13,6 +13,7 @@ import tyro
 
 from dronevio.cli.terminal import parse
 from dronevio.models.errors import ConfigError
+from dronevio.models.python_names import PREFIX
 from dronevio.models.ranges import Range, Settings
 from dronevio.sim.faults import Faults
 from dronevio.sim.paths.plan import FlightPlan
@@ -214,6 +215,7 @@ def parse_flight(command: type[Command], arguments: Sequence[str], name: str) ->
         named = first.parse_known_args(list(arguments))[0]
     except argparse.ArgumentError as error:
         raise ConfigError(f"{error.argument_name}: {error.message}") from None
-    of_scenario = FlightOptions.of(scenario_named(named.scenario), named.image_sensor)
-    options = replace(of_scenario, scenario=named.scenario)  # of one's own, the name does not find it again
+    options = FlightOptions.of(scenario_named(named.scenario), named.image_sensor)
+    if named.scenario.startswith(PREFIX):  # its own name would not find it again
+        options = replace(options, scenario=named.scenario)
     return parse(command, arguments, name, {"flight": options})
