@@ -8,8 +8,8 @@ A page has the command of each table in a comment before it, and a comment after
     <!-- table of: dronevio report docs/measurements/campaign.parquet --format markdown --tables losses -->
     <!-- end of the table -->
 
-With ``rows "all scenarios" of:`` instead of ``table of:``, only the rows whose first cell begins with these words are
-taken. The output of commands without a table in Markdown is written as a block of code.
+With ``rows "all scenarios" of:`` instead of ``table of:``, only the rows that begin with a match of this regular
+expression are taken. The output of commands without a table in Markdown is written as a block of code.
 """
 
 import contextlib
@@ -57,14 +57,14 @@ def pages() -> Iterator[Path]:
 
 
 def _table(command: str, beginning: str | None) -> str:
-    """Return the table that a command prints, with all rows or those that begin with some words."""
+    """Return the table that a command prints, with all rows or those that begin with a match."""
     lines = _output(command).splitlines(keepends=True)
     table = [line for line in lines if line.startswith("|")]
     if not table:
         return "".join(["```text\n", *lines, "```\n"])
     if beginning is None:
         return "\n" + "".join(table) + "\n"
-    rows = [line for line in table[2:] if line.startswith(f"| {beginning}")]
+    rows = [line for line in table[2:] if re.match(beginning, line.removeprefix("| "))]
     if not rows:
         raise ValueError(f"dronevio {command} prints no row that begins with {beginning!r}")
     return "\n" + "".join([*table[:2], *rows]) + "\n"

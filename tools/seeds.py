@@ -21,6 +21,8 @@ import tyro
 
 SAMPLE_EVERY_S = 0.1
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "getting-started.md"
+SHOWN = (0, 1, 2)
+"""Seeds whose rows are in the documentation; mean and worst are those of all."""
 BEGINNING, END = "<!-- seeds -->", "<!-- /seeds -->"
 
 
@@ -131,21 +133,23 @@ def main(command: SeedsCommand) -> int:
     text = f"{seeds_table(command.seeds, values)}\n\n{provenance(report)}"
     print(text)
     if command.write:
+        shown = f"{seeds_table(command.seeds, values, SHOWN)}\n\n{provenance(report)}"
         before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGINNING)
         after = rest.partition(END)[2]
-        PAGE.write_text("\n".join([before + BEGINNING, "", text, "", END]) + after, encoding="utf-8")
+        PAGE.write_text("\n".join([before + BEGINNING, "", shown, "", END]) + after, encoding="utf-8")
     return 0
 
 
-def seeds_table(seeds: Sequence[int], values: Sequence[Sequence[float]]) -> str:
-    """Return the Markdown table of all seeds with rows of means and of the worst values.
+def seeds_table(seeds: Sequence[int], values: Sequence[Sequence[float]], shown: Sequence[int] | None = None) -> str:
+    """Return the Markdown table of seeds with rows of means and of the worst values.
 
     Args:
         seeds: N seeds.
         values: N rows with the values of `COLUMNS`.
+        shown: Seeds whose rows are in the table; all by default.
     """
     worst = [column.worst(each) for column, each in zip(COLUMNS, zip(*values, strict=True), strict=True)]
-    rows = [(f"{seed}", row) for seed, row in zip(seeds, values, strict=True)]
+    rows = [(f"{seed}", row) for seed, row in zip(seeds, values, strict=True) if shown is None or seed in shown]
     rows += [("mean", np.mean(values, axis=0).tolist()), ("worst", worst)]
     headings = ["seed", *(column.title for column in COLUMNS)]
     lines = [headings, ["---:"] * len(headings), *([name, *cells(row)] for name, row in rows)]
