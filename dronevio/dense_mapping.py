@@ -23,7 +23,7 @@ from dronevio.models.depth import DepthImage
 from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.occupancy import OCCUPIED, OccupancyGrid, PlacedSubmap
-from dronevio.models.progress import Progress, silent
+from dronevio.models.progress import Progress, notebook_line, silent
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.segments import segments_of
@@ -146,7 +146,7 @@ def map(
     slam: bool = True,
     estimator: VioConfig | None = None,
     slam_config: SlamConfig | None = None,
-    progress: Progress = silent,
+    progress: Progress | None = None,
 ) -> DenseMap:
     """Return the dense map of a recording: what is free, occupied and unknown, and its surfaces.
 
@@ -158,7 +158,7 @@ def map(
         slam: Whether loops correct the map (`VisualSlam`); otherwise it drifts as the odometry does.
         estimator: Settings of the odometry.
         slam_config: Settings of visual SLAM.
-        progress: Called with the number of processed frames.
+        progress: Called with the number of processed frames; by default, a notebook shows it.
 
     Raises:
         InputError: The recording cannot be read.
@@ -173,4 +173,10 @@ def map(
     longest = max(segments_of(source), key=lambda segment: len(segment.frame_times_ns))
     rig = longest.rig
     chosen = VisualSlam(rig, estimator, slam_config) if slam else VisualInertialOdometry(rig, estimator)
-    return map_recording(longest, config, chosen, progress=progress)
+    return map_recording(
+        longest,
+        config,
+        chosen,
+        progress=progress or notebook_line("mapping"),
+        surface_progress=notebook_line("surfaces"),
+    )
