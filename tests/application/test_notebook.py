@@ -1,15 +1,19 @@
-"""What notebooks show of results: summaries as HTML instead of all values."""
+"""What notebooks show: summaries of results as HTML instead of all values, and plots."""
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 
 import dronevio as dv
 from dronevio.dense_mapping import DenseMap
+from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.occupancy import FREE, OCCUPIED, OccupancyGrid
 from dronevio.models.slam_map import SlamMap
 from dronevio.models.surfaces import Mesh, PointCloud
@@ -169,3 +173,85 @@ def test_results_are_a_line_of_text(truth: dv.Trajectory, run: dv.EstimatorRun, 
     assert repr(truth).startswith("<Trajectory, poses: 42; duration: 4.10 s; length of the path: 3.41 m; ")
     for result in (truth, run, slam_map, dv.evaluate(truth, run)):
         assert len(repr(result)) < 400 and "\n" not in repr(result) and "array(" not in repr(result)
+
+
+# --- plots
+
+
+def lines_of(ax: Axes) -> dict[str, np.ndarray]:
+    """Return the points (N, 2) of the lines of axes by their names in the legend."""
+    return {str(line.get_label()): np.asarray(line.get_xydata()) for line in ax.get_lines()}
+
+
+def test_plot_of_a_trajectory_and_of_several(truth: dv.Trajectory) -> None:
+    above, side = dv.plot(truth).axes
+    assert (above.get_xlabel(), above.get_ylabel(), side.get_ylabel()) == ("x [m]", "y [m]", "z [m]")
+    np.testing.assert_array_equal(lines_of(above)["trajectory"][:-1], truth.p_world_imu[:, [0, 1]])
+    np.testing.assert_array_equal(lines_of(side)["end"], [[2.0, 1.0]])
+    moved = replace(truth, p_world_imu=truth.p_world_imu + 1.0)
+    figure = dv.plot({"a": truth, "<b> $x$": moved})
+    np.testing.assert_array_equal(lines_of(figure.axes[1])["<b> $x$"][:-1], moved.p_world_imu[:, [0, 2]])
+    np.testing.assert_array_equal(lines_of(figure.axes[1])["start"], [[0.0, 0.0]])  # of the first
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["a", "<b> $x$", "start", "end"]
+    colours = {line.get_color() for line in figure.axes[0].get_lines()[:2]}
+    assert len(colours) == 2
+
+
+def test_plot_of_a_run_shows_the_map(run: dv.EstimatorRun, slam_map: SlamMap) -> None:
+    assert {"estimate"} == set(lines_of(dv.plot(run).axes[0])) - {"start", "end"}
+    raised = slam_map.Ts_map_imu.copy()
+    raised[:, 2, 3] += 5.0
+    with_map = replace(run, map=replace(slam_map, Ts_map_imu=raised))
+    drawn = lines_of(dv.plot(with_map).axes[1])
+    np.testing.assert_allclose(drawn["map"], drawn["estimate"] + [0.0, 5.0])
+
+
+def test_plot_of_a_scored_trajectory_shows_its_errors(truth: dv.Trajectory, run: dv.EstimatorRun) -> None:
+    figure = dv.plot(dv.evaluate(truth, run, "none"))
+    above, _, position, orientation = figure.axes
+    assert {"truth", "estimate"} <= set(lines_of(above))
+    assert (position.get_ylabel(), orientation.get_ylabel()) == ("position error [m]", "orientation error [°]")
+    seconds_and_errors = lines_of(position)["aligned"]
+    np.testing.assert_allclose(seconds_and_errors[:, 0], 0.1 * np.arange(32), atol=1e-9)
+    np.testing.assert_allclose(seconds_and_errors[:, 1], 0.02)
+    assert figure._repr_png_().startswith(b"\x89PNG")
+
+
+def test_what_cannot_be_drawn_is_refused(truth: dv.Trajectory) -> None:
+    with pytest.raises(ConfigError, match=r"plot\(\) of str; expected a trajectory"):
+        dv.plot("estimate.tum")
+    with pytest.raises(ConfigError, match=r"plot\(\) of dict of int, str; expected"):
+        dv.plot({"a": 1, "b": "c"})
+    with pytest.raises(ConfigError, match="of no trajectory"):
+        dv.plot({})
+    with pytest.raises(EvaluationError, match=r"plot\(\) of b without poses"):
+        dv.plot({"a": truth, "b": truth[:0]})
+
+
+# --- the example of the documentation
+
+
+def example(recording: Path) -> str:
+    """Return the example for notebooks, on another recording."""
+    page = Path(__file__).resolve().parents[2] / "docs" / "evaluation.md"
+    if not page.is_file():
+        pytest.skip("not a checkout")
+    [code] = re.findall(r"^```py\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    assert code.count('"MH_01_easy"') == 2
+    return code.replace('"MH_01_easy"', repr(str(recording)))
+
+
+def test_the_documented_example_runs(flown: Any) -> None:
+    displayed: list[Any] = []
+    exec(compile(example(flown.folder), "evaluation.md", "exec"), {"display": lambda *shown: displayed.extend(shown)})
+    run, scored, figure = displayed
+    assert int(shown(run).values["poses"]) > 90 and shown(run).values["map"].startswith("keyframes ")
+    assert [row for row in shown(scored).rows if row[0] == "ATE, position"] and len(figure.axes) == 4
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # of the client that starts the kernel
+def test_a_notebook_shows_tables_and_plot(flown: Any, executed: Callable[..., Any]) -> None:
+    [outputs] = executed(example(flown.folder))
+    shown_as = [set(output["data"]) for output in outputs if output["data"] != {"text/plain": ""}]  # of the progress
+    assert shown_as == [{"text/plain", "text/html"}, {"text/plain", "text/html"}, {"text/plain", "image/png"}]

@@ -4,7 +4,9 @@ import io
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
@@ -99,20 +101,9 @@ def test_a_terminal_has_bars_and_a_pipe_lines(
     assert "simulating" not in capsys.readouterr().err
 
 
-def executed(*cells: str) -> list[list[dict[str, object]]]:
-    """Return the outputs of the cells of a notebook."""
-    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
-    pytest.importorskip("ipykernel")
-    path = f"import sys; sys.path.insert(0, {str(Path(dronevio.__file__).parents[1])!r})"
-    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(code) for code in (path, *cells)])
-    client = nbclient.NotebookClient(notebook, timeout=240, extra_arguments=["--log-level=ERROR"])
-    client.execute()
-    return [cell.outputs for cell in notebook.cells[1:]]
-
-
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # of the client that starts the kernel
-def test_a_notebook_shows_one_line_that_vanishes_at_the_end() -> None:
+def test_a_notebook_shows_one_line_that_vanishes_at_the_end(executed: Callable[..., Any]) -> None:
     setup = "import time; from dronevio.models.progress import notebook_line; line = notebook_line('estimating')"
     step = "line(%d, 40)\ntime.sleep(%g)"
     begun, ended, short = executed(
