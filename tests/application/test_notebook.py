@@ -125,6 +125,7 @@ def test_run(run: dv.EstimatorRun, slam_map: SlamMap) -> None:
     values = shown(run).values
     assert values["frames"] == "42 in 4.10 s" and values["poses"] == "32"
     assert values["first pose"] == "1.00 s after the first frame"
+    assert values["length of the path"] == "3.31 m"  # 30 steps of 50 by 40 mm, one of 1 by 0.96 m
     assert values["processor time per frame"] == "mean 20.0 ms, 99 % below 20.0 ms"
     assert values["real-time factor on one core"] == "4.9"  # 4.1 s in 42 times 20 ms
     assert values["warnings"] == "1" and values["warning at 2.00 s"] == HOSTILE
