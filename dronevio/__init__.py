@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from dronevio.models.rig import Rig, RigCamera
     from dronevio.models.rig_presets import rig_named
     from dronevio.models.state import CameraFrame, Estimate, Health, NavState, Trajectory
+    from dronevio.plotting import plot
     from dronevio.policy_evaluation import PolicyEvaluation, evaluate_baseline, evaluate_policy
     from dronevio.sim.scenario import Scenario
     from dronevio.sim.scenarios import scenario_named
@@ -95,6 +96,7 @@ __all__ = [
     "map",
     "measurements",
     "open_recording",
+    "plot",
     "read_trajectory",
     "rig_named",
     "save_policy",
@@ -135,6 +137,7 @@ __getattr__, __dir__ = attach(
         "dronevio.models.rig": ("Rig", "RigCamera"),
         "dronevio.models.rig_presets": ("rig_named",),
         "dronevio.models.state": ("CameraFrame", "Estimate", "Health", "NavState", "Trajectory"),
+        "dronevio.plotting": ("plot",),
         "dronevio.policy_evaluation": ("PolicyEvaluation", "evaluate_baseline", "evaluate_policy"),
         "dronevio.sim.scenario": ("Scenario",),
         "dronevio.sim.scenarios": ("scenario_named",),

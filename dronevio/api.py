@@ -22,7 +22,7 @@ from dronevio.estimators.driver import TimedEstimator, estimate_recording
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.image_sets import ImageSet, open_images, with_earlier
-from dronevio.models.progress import Progress, silent
+from dronevio.models.progress import Progress, notebook_line
 from dronevio.models.protocols import Estimator, Recording
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.recordings.open import open_recording
@@ -55,7 +55,7 @@ def fly(
         IncompleteError: An image cannot be written.
     """
     flown = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
-    record_flight(flown, Path(folder), workers=workers)
+    record_flight(flown, Path(folder), notebook_line("simulating"), notebook_line("rendering"), workers)
     return open_recording(Path(folder))
 
 
@@ -67,7 +67,7 @@ def fly_on_estimate(
     seed: int | None = None,
     latency: LoopSettings | None = None,
     slam: bool = False,
-    progress: Progress = silent,
+    progress: Progress | None = None,
 ) -> tuple[Recording, EstimatorRun]:
     """Simulate a flight whose controller receives the output of an estimator, and write the recording into a folder.
 
@@ -79,7 +79,7 @@ def fly_on_estimate(
         seed: Seed of a named scenario; its own by default.
         latency: Latencies of images and commands.
         slam: Whether the odometry builds a map; see `estimate`.
-        progress: Called with the progress of the flight.
+        progress: Called with the progress of the flight; by default, a notebook shows it.
 
     Returns:
         The recording, and the estimates of its frames with their cost.
@@ -92,7 +92,7 @@ def fly_on_estimate(
     flown = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
     chosen = _estimator(flown.rig, estimator, slam)
     timed = TimedEstimator(chosen)
-    record_closed_loop(flown, Path(folder), timed, latency, progress)
+    record_closed_loop(flown, Path(folder), timed, latency, progress or notebook_line("flying"))
     return open_recording(Path(folder)), _with_map(timed.run, chosen)
 
 
@@ -101,7 +101,7 @@ def estimate(
     estimator: Estimator | VioConfig | None = None,
     *,
     slam: bool = False,
-    progress: Progress = silent,
+    progress: Progress | None = None,
 ) -> EstimatorRun:
     """Estimate the motion of a recording, frame by frame.
 
@@ -111,7 +111,7 @@ def estimate(
             default the odometry with default settings.
         slam: Whether the odometry builds a map and closes loops (`VisualSlam`). The result then has, beside the
             trajectory of the odometry, which stays as it is, `map_trajectory`, `final_trajectory` and `map`.
-        progress: Called with the number of processed frames.
+        progress: Called with the number of processed frames; by default, a notebook shows it.
 
     Returns:
         The estimates of all frames and their cost. Where the clock of the recording steps, they are those of the first
@@ -136,7 +136,8 @@ def estimate(
     runs = []
     for segment in segments:
         chosen = _estimator(segment.rig, estimator, slam)
-        runs.append(_with_map(estimate_recording(segment, chosen, progress), chosen))
+        run = estimate_recording(segment, chosen, progress or notebook_line("estimating"))
+        runs.append(_with_map(run, chosen))
     return replace(runs[0], later=tuple(runs[1:]))
 
 
@@ -194,13 +195,14 @@ def sfm(
     if isinstance(poses, str | Path):
         poses = read_poses(Path(poses), opened)
     if add_to is None:
-        return reconstruct(opened, config, kept, poses=poses, strict=strict)
+        return reconstruct(opened, config, kept, notebook_line, poses=poses, strict=strict)
     earlier = EarlierResult(add_to) if isinstance(add_to, Reconstruction) else read_earlier(Path(add_to))
     opened = with_earlier(opened, earlier.reconstruction.image_names, opened, is_one_source=True)
     return reconstruct(
         opened,
         config,
         kept,
+        notebook_line,
         earlier=earlier.reconstruction,
         earlier_world=earlier.world,
         poses=poses,
@@ -241,4 +243,12 @@ def dense(
             raise InputError("images", "a reconstruction without components", "at least one registered image")
         reconstruction = reconstruction.reconstructions[0]
     store = ArrayStore(None if workspace is None else Path(workspace))
-    return densify(opened, reconstruction, config, store=store, finished=finished, with_texture=with_texture)
+    return densify(
+        opened,
+        reconstruction,
+        config,
+        stages=notebook_line,
+        store=store,
+        finished=finished,
+        with_texture=with_texture,
+    )

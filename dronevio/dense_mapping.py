@@ -22,20 +22,21 @@ from dronevio.models.arrays import Array
 from dronevio.models.depth import DepthImage
 from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.imu import ImuSamples, Times
-from dronevio.models.occupancy import OCCUPIED, OccupancyGrid, PlacedSubmap
-from dronevio.models.progress import Progress, silent
+from dronevio.models.occupancy import FREE, OCCUPIED, OccupancyGrid, PlacedSubmap
+from dronevio.models.progress import Progress, notebook_line, silent
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.segments import segments_of
 from dronevio.models.state import CameraFrame, Estimate, Health, Trajectory
+from dronevio.models.summary import Summarized, size_text
 from dronevio.models.surfaces import Mesh, PointCloud
 
 DepthListener = Callable[[DepthImage, Estimate, DenseMapper], None]
 """Receives each depth image with its estimate and the map that it has entered."""
 
 
-@dataclass(frozen=True, eq=False)
-class DenseMap:
+@dataclass(frozen=True, eq=False, repr=False)
+class DenseMap(Summarized):
     """The dense map of a flight."""
 
     run: EstimatorRun
@@ -52,6 +53,19 @@ class DenseMap:
     """Triangles of the surfaces, in the map frame."""
     depth_cpu_ms: Array
     """(D,) Processor time of each depth image, its evidence and its entry in the map [ms]."""
+
+    def _summary(self) -> list[tuple[str, str]]:
+        grid = self.occupancy
+        return [
+            ("side of a cell", f"{grid.cell_m:g} m"),
+            ("size in x, y, z", size_text(np.stack([grid.low_m, grid.high_m]))),
+            ("free", f"{self.volume_m3(FREE):.2f} m³"),
+            ("occupied", f"{self.volume_m3(OCCUPIED):.2f} m³"),
+            ("points of the surfaces", f"{len(self.cloud)}"),
+            ("triangles", f"{len(self.mesh.triangles)}"),
+            ("depth images", f"{len(self.depth_cpu_ms)}, {np.mean(self.depth_cpu_ms):.1f} ms of processor time each"),
+            ("length of the path", f"{self.trajectory.length_m:.2f} m"),
+        ]
 
     def volume_m3(self, state: int) -> float:
         """Return the volume of the cells in a state; see `dronevio.models.occupancy` [m³]."""
@@ -146,7 +160,7 @@ def map(
     slam: bool = True,
     estimator: VioConfig | None = None,
     slam_config: SlamConfig | None = None,
-    progress: Progress = silent,
+    progress: Progress | None = None,
 ) -> DenseMap:
     """Return the dense map of a recording: what is free, occupied and unknown, and its surfaces.
 
@@ -158,7 +172,7 @@ def map(
         slam: Whether loops correct the map (`VisualSlam`); otherwise it drifts as the odometry does.
         estimator: Settings of the odometry.
         slam_config: Settings of visual SLAM.
-        progress: Called with the number of processed frames.
+        progress: Called with the number of processed frames; by default, a notebook shows it.
 
     Raises:
         InputError: The recording cannot be read.
@@ -173,4 +187,10 @@ def map(
     longest = max(segments_of(source), key=lambda segment: len(segment.frame_times_ns))
     rig = longest.rig
     chosen = VisualSlam(rig, estimator, slam_config) if slam else VisualInertialOdometry(rig, estimator)
-    return map_recording(longest, config, chosen, progress=progress)
+    return map_recording(
+        longest,
+        config,
+        chosen,
+        progress=progress or notebook_line("mapping"),
+        surface_progress=notebook_line("surfaces"),
+    )

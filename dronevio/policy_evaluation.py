@@ -14,7 +14,7 @@ from dronevio.models.actions import ActionLimits
 from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.policies.policy import Policy
-from dronevio.models.progress import Progress, silent
+from dronevio.models.progress import Progress, notebook_line
 from dronevio.sim.envs.episodes.endings import Termination
 from dronevio.sim.envs.episodes.randomization import NOTHING_RANDOM
 from dronevio.sim.envs.policies.environments import has_vectors, policy_arguments, policy_envs, require_fitting
@@ -101,7 +101,7 @@ def evaluate_policy(
     *,
     environment: str = "",
     world_seeds: Sequence[int] = (),
-    progress: Progress = silent,
+    progress: Progress | None = None,
     **settings: Any,
 ) -> PolicyEvaluation:
     """Return the results of a policy in episodes that it has not been trained on.
@@ -117,7 +117,7 @@ def evaluate_policy(
             trained.
         world_seeds: Seeds of the worlds of the episodes, which are repeated if there are more episodes; by default
             those of the settings.
-        progress: Called with the number of finished episodes.
+        progress: Called with the number of finished episodes; by default, a notebook shows it.
         settings: Further settings of the environments; see `dronevio.sim.envs.EnvironmentSettings`.
 
     Raises:
@@ -125,6 +125,7 @@ def evaluate_policy(
             policy.
     """
     name = environment or policy.environment
+    progress = progress or notebook_line("episodes")
     worlds = _worlds(episodes, world_seeds)
     if not has_vectors(name):
         settings = policy_arguments(policy, settings)
@@ -278,7 +279,7 @@ def evaluate_baseline(
     *,
     environment: str = NAVIGATE,
     world_seeds: Sequence[int] = (),
-    progress: Progress = silent,
+    progress: Progress | None = None,
     **settings: Any,
 ) -> PolicyEvaluation:
     """Return the results of a policy without learning, in single environments one episode after another.
@@ -290,7 +291,7 @@ def evaluate_baseline(
         environment: Id of an environment with a goal, such as ``dronevio/VioNavigate-v0``.
         world_seeds: Seeds of the worlds of the episodes, which are repeated if there are more episodes; by default
             those of the settings.
-        progress: Called with the number of finished episodes.
+        progress: Called with the number of finished episodes; by default, a notebook shows it.
         settings: Further settings of the environment; see `dronevio.sim.envs.EnvironmentSettings`.
 
     Raises:
@@ -302,7 +303,9 @@ def evaluate_baseline(
     def chosen(env: Any) -> Baseline:
         return baseline_named(name, env.settings)
 
-    return _one_after_another(chosen, episodes, seed, environment, worlds, progress, settings)
+    return _one_after_another(
+        chosen, episodes, seed, environment, worlds, progress or notebook_line("episodes"), settings
+    )
 
 
 def _one_after_another(

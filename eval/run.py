@@ -16,6 +16,7 @@ from dronevio.models.imu import Times
 from dronevio.models.protocols import Recording
 from dronevio.models.slam_map import SlamMap
 from dronevio.models.state import Estimate, FeatureTracks, Health, NavState, Trajectory
+from dronevio.models.summary import Summarized, duration_text, html_table
 
 POSE_IS_VALID = frozenset({Health.TRACKING, Health.INERTIAL_ONLY})
 """Health states in which the pose of an estimate is valid."""
@@ -26,10 +27,11 @@ _WARNING = re.compile(
 """Beginning of the events that tell of wrong measurements or a wrong calibration."""
 _OUTLIERS = re.compile(r"(\d+) outlying samples of the IMU")
 """Beginning of the events that tell of IMU samples that are left out."""
+_SHOWN_WARNINGS = 5  # in notebooks
 
 
-@dataclass(frozen=True, eq=False)
-class EstimatorRun:
+@dataclass(frozen=True, eq=False, repr=False)
+class EstimatorRun(Summarized):
     """The estimates of all frames of a recording, in time order, with their costs."""
 
     estimates: tuple[Estimate, ...]
@@ -57,6 +59,33 @@ class EstimatorRun:
                 f"a run of {m} estimates with costs of shapes {self.cpu_ms.shape}, {self.wall_ms.shape};"
                 f" expected ({m},), ({m},)"
             )
+
+    def _summary(self) -> list[tuple[str, str]]:
+        poses = self.trajectory
+        rows = [("frames", f"{len(self.estimates)} in {duration_text(self.t_ns)}"), ("poses", f"{len(poses)}")]
+        if len(poses):
+            start = duration_text(np.append(self.t_ns[:1], poses.t_ns[:1]))
+            rows += [
+                ("first pose", f"{start} after the first frame"),
+                ("length of the path", f"{poses.length_m:.2f} m"),
+            ]
+        if len(self.cpu_ms):
+            cost = Latency.of(self.cpu_ms)
+            rows += [("processor time per frame", f"mean {cost.mean:.1f} ms, 99 % below {cost.p99:.1f} ms")]
+        if self.real_time_factor is not None:
+            rows += [("real-time factor on one core", f"{self.real_time_factor:.1f}")]
+        if self.map is not None:
+            of_map = f"keyframes {len(self.map.t_ns)}, loops {len(self.map.closed)}, points {len(self.map.points)}"
+            rows += [("map", of_map)]
+        counts = {"warnings": len(self.warnings), "defects": len(self.defects), "later segments": len(self.later)}
+        outliers = {"outlying IMU samples": self.imu_outliers}
+        return rows + [(name, f"{count}") for name, count in (counts | outliers).items() if count]
+
+    def _repr_html_(self) -> str:
+        """Return the summary with the first warnings as HTML, by which notebooks show it."""
+        shown = self.warnings[:_SHOWN_WARNINGS]
+        texts = [(f"warning at {duration_text(np.append(self.t_ns[:1], t_ns))}", text) for t_ns, text in shown]
+        return html_table(type(self).__name__, [*self._summary(), *texts])
 
     @property
     def t_ns(self) -> Times:

@@ -10,13 +10,14 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
 from dronevio.models.map_correction import MapCorrection
 from dronevio.models.rotation import inverse_pose
+from dronevio.models.summary import Summarized, duration_text, size_text
 
 Flags = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.int64]
 
 
-@dataclass(frozen=True, eq=False)
-class SlamMap:
+@dataclass(frozen=True, eq=False, repr=False)
+class SlamMap(Summarized):
     """A map of K keyframes that are connected by an odometry and by L loops, with M points.
 
     Where the odometry was lost, another track with another odometry frame begins. Only keyframes of tracks that are
@@ -78,6 +79,18 @@ class SlamMap:
         unknown = self.loops[(self.loops < 0) | (self.loops >= keyframes)]
         if len(unknown):
             raise ConfigError(f"loop with keyframe {unknown[0]}; expected one of the {keyframes} keyframes")
+
+    def _summary(self) -> list[tuple[str, str]]:
+        rows = [
+            ("keyframes", f"{len(self.t_ns)}"),
+            ("duration", duration_text(self.t_ns)),
+            ("loops", f"{len(self.closed)}"),
+            ("rejected loops", f"{int(self.rejected.sum())}"),
+            ("points", f"{len(self.points)}"),
+            ("size in x, y, z of the keyframes", size_text(self.Ts_map_imu[:, :3, 3])),
+            ("tracks", f"{len(self.starts_ns)}"),
+        ]
+        return [*rows, ("bundle adjustment", self.adjustment)] if self.adjustment else rows
 
     @property
     def closed(self) -> Rows:

@@ -16,6 +16,7 @@ from dronevio.models.imu import Times
 from dronevio.models.map_correction import MapCorrection
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix, quat_wxyz_from_matrix
+from dronevio.models.summary import Summarized, duration_text, size_text
 
 NO_IMAGE: npt.NDArray[np.uint8] = np.zeros((0, 0), np.uint8)
 """Image without pixels, in place of one that a camera lacks at the time of a frame."""
@@ -208,8 +209,8 @@ class Estimate:
         return None if T_map_odom is None or T_odom_imu is None else np.asarray(T_map_odom @ T_odom_imu)
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory(Summarized):
     """Poses of the IMU over time, optionally with velocities, biases and covariances.
 
     The world frame is the fixed frame of its source; see `NavState`.
@@ -244,6 +245,21 @@ class Trajectory:
             )
         if n > 1 and not np.all(np.diff(self.t_ns) > 0):
             raise ConfigError("trajectory whose time stamps do not increase")
+
+    def _summary(self) -> list[tuple[str, str]]:
+        parts = {
+            "velocities": self.velocity_m_s,
+            "gyroscope biases": self.gyro_bias_rad_s,
+            "accelerometer biases": self.accel_bias_m_s2,
+            "covariances": self.covariance,
+        }
+        return [
+            ("poses", f"{len(self)}"),
+            ("duration", duration_text(self.t_ns)),
+            ("length of the path", f"{self.length_m:.2f} m"),
+            ("size in x, y, z", size_text(self.p_world_imu)),
+            ("also has", ", ".join(name for name, values in parts.items() if values is not None) or "–"),
+        ]
 
     def __len__(self) -> int:
         return len(self.t_ns)

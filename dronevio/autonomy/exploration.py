@@ -30,7 +30,7 @@ from dronevio.models.arrays import Array
 from dronevio.models.depth import DepthImage
 from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.occupancy import FREE, OccupancyGrid, PlacedSubmap
-from dronevio.models.progress import Progress, silent
+from dronevio.models.progress import Progress, notebook_line
 from dronevio.models.protocols import Estimator
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import inverse_pose
@@ -165,7 +165,7 @@ def explore(
     without_images: RaySensing | None = None,
     listeners: Sequence[FlightListener] = (),
     on_frame: Callable[[CameraFrame], None] = lambda frame: None,
-    progress: Progress = silent,
+    progress: Progress | None = None,
 ) -> Exploration:
     """Fly through an unknown world on the drone's own estimate, to a goal or to see all that can be reached.
 
@@ -183,7 +183,7 @@ def explore(
         without_images: Errors of depth along rays and of a drifting odometry, in place of images and estimator.
         listeners: Receive the depth images, and the pilot, while the map grows.
         on_frame: Receives every frame.
-        progress: Called with the number of completed control steps and their total.
+        progress: Called with the number of completed control steps and their total; by default, a notebook shows it.
 
     Returns:
         The flight. The same arguments give the same flight on the same kind of processor.
@@ -194,6 +194,7 @@ def explore(
     """
     flown = exploration_scenario(scenario, seed) if isinstance(scenario, str) else scenario
     where = None if task == "cover" else goal_in(flown, goal)
+    progress = progress or notebook_line("flying")
     if task == "cover" and goal is not None:
         raise ConfigError(f"goal = {goal} for the task cover; expected no goal")
     if without_images is not None:

@@ -5,18 +5,11 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol, TextIO
 
-from dronevio.models.progress import Progress, silent
+from dronevio.models.progress import PhaseLine, Progress, silent
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
     from rich.progress import TaskID
-
-FIRST_LINE_S = 5.0
-"""Duration of a phase after which its progress is printed as a line [s]; of shorter phases, only the end is."""
-LINE_INTERVAL_S = 10.0
-"""Time between two lines of a phase [s]."""
-LEAST_SHARE = 0.05
-"""Share of the units that must be finished for the first line to tell how long the rest takes."""
 
 
 class Bars(Protocol):
@@ -80,42 +73,3 @@ class LineBars:
                 print(text, file=self._stream or sys.stderr, flush=True)
 
         return advance
-
-
-class PhaseLine:
-    """The lines of text of one phase."""
-
-    def __init__(self, description: str, clock: Callable[[], float] = time.monotonic) -> None:
-        """Prepare the lines of a phase that has not begun.
-
-        Args:
-            description: Name of the phase.
-            clock: Function that returns the time [s].
-        """
-        self._description = description
-        self._clock = clock
-        self._begin_s: float | None = None
-        self._next_s = FIRST_LINE_S
-        self._first: tuple[float, int] | None = None  # time and finished units of the first line
-        self._ended = False
-
-    def due(self, done: int, total: int) -> str | None:
-        """Return the line that is to be printed now; None if the last line is recent.
-
-        Args:
-            done: Number of finished units.
-            total: Number of all units.
-        """
-        now_s = self._clock()
-        self._begin_s = now_s if self._begin_s is None else self._begin_s
-        elapsed_s = now_s - self._begin_s
-        is_end = done >= total
-        if self._ended or (elapsed_s < self._next_s and not is_end):
-            return None
-        self._next_s, self._ended = elapsed_s + LINE_INTERVAL_S, is_end
-        # The pace is that since the first line: the first units are often slow.
-        since_s, since = self._first or (0.0, 0)
-        is_known = since < done < total and (self._first is not None or done >= LEAST_SHARE * total)
-        self._first = self._first or (elapsed_s, done)
-        left = f", about {(elapsed_s - since_s) * (total - done) / (done - since):.0f} s left" if is_known else ""
-        return f"{self._description}: {done} of {total} after {elapsed_s:.0f} s{left}"

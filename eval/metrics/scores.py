@@ -15,15 +15,18 @@ from dronevio.eval.metrics.association import Association, nearest_rows
 from dronevio.eval.metrics.consistency import inside_percent
 from dronevio.eval.metrics.errors import Statistics, translation_errors_m
 from dronevio.eval.metrics.lengths import LengthErrors
-from dronevio.eval.metrics.metric import Metric, computed, computed_values, metrics_of
+from dronevio.eval.metrics.metric import Metric, computed, computed_values, declared, metrics_of
 from dronevio.eval.metrics.trajectory_errors import Compared, ScoreOptions, TrajectoryErrors
 from dronevio.models.arrays import Array
 from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import Times
 from dronevio.models.state import Trajectory
+from dronevio.models.summary import Row, Summarized, html_table
 
 START_UP_S = 3.0
 """Time after the first frame before which frames do not count for the coverage [s]."""
+ERROR_COLUMNS = ("error", "rmse", "mean", "median", "max", "unit")
+"""Headings of a table of errors."""
 _FRAME_TOLERANCE_NS = 1_000_000  # between the time stamps of a frame and of its pose, which may be rounded
 _DEFAULTS = ScoreOptions()
 
@@ -146,6 +149,36 @@ class Scores:
     )
     """Longest time between two successive compared poses [s]."""
 
+    def error_rows(self) -> list[Row]:
+        """Return the errors that are known as text: name, the statistics of `ERROR_COLUMNS`, and unit."""
+        rows: list[Row] = []
+        for name, metric in declared(type(self)):
+            of = getattr(self, name)
+            if isinstance(of, Statistics) and not metric.name:  # one with a name is a part of another, which has a row
+                shown = map(metric.text, (of.rmse, of.mean, of.median, of.max))
+                rows.append((metric.label(self.rpe_interval), *shown, metric.unit))
+        return rows
+
+    def value_rows(self) -> list[tuple[str, str, str]]:
+        """Return the other scores that are known as text: name, value and unit."""
+        known = ((getattr(self, name), metric) for name, metric in declared(type(self)))
+        return [
+            *(
+                (metric.label(self.rpe_interval), metric.text(value), metric.unit)
+                for value, metric in known
+                if value is not None and not isinstance(value, Statistics)
+            ),
+            ("poses compared", f"{self.n_poses} of {self.n_estimated}", ""),
+            ("last pose after the first true pose", f"{self.last_pose_s:.3f}", "s"),
+            (f"pairs over {self.rpe_interval}", f"{self.rpe_pairs}", ""),
+        ]
+
+    def _repr_html_(self) -> str:
+        """Return the scores as HTML, by which notebooks show them."""
+        errors = html_table(f"Errors, alignment {self.alignment}", self.error_rows(), ERROR_COLUMNS)
+        values = [(label, f"{value} {unit}".strip()) for label, value, unit in self.value_rows()]
+        return f"<div>{errors}{html_table('Scores', values)}</div>"
+
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
         """Return the scores of a JSON document that `dataclasses.asdict` made; what it lacks is None.
@@ -162,14 +195,27 @@ SCORE_METRICS = metrics_of(Scores)
 """The metrics of a trajectory by name."""
 
 
-@dataclass(frozen=True, eq=False)
-class ScoredTrajectory(TrajectoryErrors):
+@dataclass(frozen=True, eq=False, repr=False)
+class ScoredTrajectory(Summarized, TrajectoryErrors):
     """An estimated trajectory with its errors at every pose, and its scores."""
 
     @cached_property
     def scores(self) -> Scores:
         """Scores computed from these errors."""
         return Scores(**computed_values(Scores, self))
+
+    def _summary(self) -> list[tuple[str, str]]:
+        scores = self.scores
+        return [
+            ("ATE", f"{scores.ate_m.rmse:.4f} m, {scores.ate_deg.rmse:.3f} °"),
+            ("alignment", scores.alignment),
+            ("poses", f"{scores.n_poses} of {scores.n_estimated}"),
+            ("length of the path", f"{scores.path_m:.2f} m"),
+        ]
+
+    def _repr_html_(self) -> str:
+        """Return the scores as HTML, by which notebooks show them."""
+        return self.scores._repr_html_()
 
 
 def score(

@@ -76,17 +76,27 @@ class Boxes:
     """Values of each group; a group without values has no box."""
 
 
+class ShownFigure(Figure):
+    """A figure that notebooks show, also where pyplot is not imported."""
+
+    def _repr_png_(self) -> bytes:
+        """Return the figure as PNG, by which notebooks show it."""
+        buffer = io.BytesIO()
+        save_png(self, buffer, dpi=100)
+        return buffer.getvalue()
+
+
 @contextmanager
 def figure(
-    width_in: float, height_in: float, columns: int = 1, legend_columns: int = 4
+    width_in: float, height_in: float, columns: int = 1, legend_columns: int = 4, rows: int = 1
 ) -> Iterator[tuple[Figure, Sequence[Axes]]]:
-    """Yield a figure with axes side by side, in the style of reports, to draw into while the context lasts.
+    """Yield a figure with axes in rows and columns, in the style of reports, to draw into while the context lasts.
 
     The legend of the first axes is placed below all axes.
     """
     with mpl.rc_context(_STYLE):
-        fig = Figure(figsize=(width_in, height_in), layout="constrained")
-        axes = list(np.atleast_1d(fig.subplots(1, columns)))
+        fig = ShownFigure(figsize=(width_in, height_in), layout="constrained")
+        axes = list(np.ravel(fig.subplots(rows, columns)))
         yield fig, axes
         handles, labels = axes[0].get_legend_handles_labels()
         if handles:
@@ -128,8 +138,8 @@ def svg_plot(height_in: float, draw: Callable[[Axes], None], alt: str = "", widt
     return as_svg(fig, f"{title}: {alt}" if alt else title)
 
 
-def save_png(fig: Figure, path: Path, dpi: int = 160) -> None:
-    """Write a figure as a PNG file on white."""
+def save_png(fig: Figure, path: Path | io.BytesIO, dpi: int = 160) -> None:
+    """Write a figure on white as PNG, into a file or a buffer."""
     with mpl.rc_context(_STYLE):
         fig.savefig(path, dpi=dpi, facecolor="white")
 

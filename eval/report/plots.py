@@ -3,7 +3,7 @@
 Each function draws into axes that it is given.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -67,10 +67,28 @@ def draw_path(
     draw_line(ax, estimate.p_world_imu[:, axes], color=colours.ESTIMATE, linewidth=1.2, label="estimate")
     if corrected is not None:
         draw_line(ax, corrected.p_world_imu[:, axes], color=colours.CORRECTED, linewidth=1.0, label="map")
-    marked = estimate if truth is None else truth
+    _finish_path(ax, view, estimate if truth is None else truth)
+
+
+def draw_paths(ax: Axes, view: PathView, paths: Mapping[str, Trajectory]) -> None:
+    """Draw several paths to scale, with a ring at the start of the first and a square at its end.
+
+    Args:
+        ax: Axes to draw into.
+        view: Direction of view.
+        paths: The trajectories by their names in the legend, in one world frame.
+    """
+    for i, (name, path) in enumerate(paths.items()):
+        points = path.p_world_imu[:, [view.horizontal, view.vertical]]
+        draw_line(ax, points, color=colours.ESTIMATORS[i % len(colours.ESTIMATORS)], linewidth=1.2, label=name)
+    _finish_path(ax, view, next(iter(paths.values())))
+
+
+def _finish_path(ax: Axes, view: PathView, marked: Trajectory) -> None:
+    """Mark the start and the end of a path, and label the axes."""
     if len(marked):
         for row, marker, label in ((0, "o", "start"), (-1, "s", "end")):
-            x, y = marked.p_world_imu[row, axes]
+            x, y = marked.p_world_imu[row, [view.horizontal, view.vertical]]
             ax.plot(x, y, marker, color=INK, markerfacecolor="none", markersize=7, linestyle="none", label=label)
     ax.set_aspect("equal", adjustable="datalim")
     ax.autoscale_view()

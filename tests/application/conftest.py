@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+import dronevio
 from dronevio.cli import main
 
 
@@ -110,3 +111,18 @@ def exists() -> Callable[[str], bool]:
         return False
 
     return found
+
+
+@pytest.fixture
+def executed() -> Callable[..., list[Any]]:
+    """Executes cells in the kernel of a notebook and returns the outputs of each."""
+    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
+    pytest.importorskip("ipykernel")
+
+    def execute(*cells: str) -> list[Any]:
+        path = f"import sys; sys.path.insert(0, {str(Path(dronevio.__file__).parents[1])!r})"
+        notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(code) for code in (path, *cells)])
+        nbclient.NotebookClient(notebook, timeout=240, extra_arguments=["--log-level=ERROR"]).execute()
+        return [cell.outputs for cell in notebook.cells[1:]]
+
+    return execute

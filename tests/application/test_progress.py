@@ -1,14 +1,21 @@
 """Progress of commands: lines of text, bars, and nothing."""
 
 import io
+import re
+import subprocess
 import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
 from rich.progress import Progress as RichProgress
 
-from dronevio.cli.progress import LineBars, PhaseLine, RichBars
+import dronevio
+from dronevio.cli.progress import LineBars, RichBars
 from dronevio.cli.terminal import progress_bars
+from dronevio.models.progress import PhaseLine, notebook_line, silent
 
 
 class Clock:
@@ -92,3 +99,34 @@ def test_a_terminal_has_bars_and_a_pipe_lines(
     with progress_bars(quiet=True) as bars:
         bars.bar("simulating")(1, 1)
     assert "simulating" not in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # of the client that starts the kernel
+def test_a_notebook_shows_one_line_that_vanishes_at_the_end(executed: Callable[..., Any]) -> None:
+    setup = "import time; from dronevio.models.progress import notebook_line; line = notebook_line('estimating')"
+    step = "line(%d, 40)\ntime.sleep(%g)"
+    begun, ended, short = executed(
+        "\n".join([setup, step % (0, 1.1), step % (10, 0.6), step % (20, 0.0)]),
+        setup + "\n" + "\n".join(step % (i, 0.6) for i in range(0, 41, 10)),
+        setup + "\n" + "\n".join(step % (i, 0.0) for i in range(41)),
+    )
+    [output] = begun
+    assert output["output_type"] == "display_data"
+    assert re.fullmatch(r"estimating: 20 of 40 after 2 s, about \d s left", output["data"]["text/plain"])
+    assert [output["data"] for output in ended] == [{"text/plain": ""}]
+    assert short == []
+
+
+def test_scripts_are_silent(tmp_path: Path) -> None:
+    assert notebook_line("estimating") is silent
+    code = (
+        "import IPython, sys; from IPython.core.interactiveshell import InteractiveShell; InteractiveShell.instance();"
+        f"sys.path.insert(0, {str(Path(dronevio.__file__).parents[1])!r});"
+        "from dronevio.models.progress import notebook_line, silent; print(notebook_line('estimating') is silent)"
+    )
+    pytest.importorskip("IPython")
+    ended = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env={"HOME": str(tmp_path)}
+    )
+    assert (ended.stdout, ended.stderr) == ("True\n", "")

@@ -144,24 +144,9 @@ def main(arguments: Sequence[str]) -> int:
 
 def print_scores(title: str, scores: "Scores") -> None:
     """Print scores as tables with units, without those that are not known."""
-    from dronevio.eval.metrics import Statistics
-    from dronevio.eval.metrics.metric import declared
+    from dronevio.eval.metrics.scores import ERROR_COLUMNS
 
-    errors, values = [], []
-    for name, metric in declared(type(scores)):
-        whole, label = getattr(scores, name), metric.label(scores.rpe_interval)
-        if isinstance(whole, Statistics):
-            cells = map(metric.text, (whole.rmse, whole.mean, whole.median, whole.max))
-            errors += [] if metric.name else [(label, *cells, metric.unit)]  # of a part of them: in the table already
-        elif whole is not None:
-            values.append((label, metric.text(whole), metric.unit))
-    counts = [
-        ("poses compared", f"{scores.n_poses} of {scores.n_estimated}", ""),
-        ("last pose after the first true pose", f"{scores.last_pose_s:.3f}", "s"),
-        (f"pairs over {scores.rpe_interval}", f"{scores.rpe_pairs}", ""),
-    ]
-    headings = ("error", "rmse", "mean", "median", "max", "unit")
-    print_table(f"{title}, alignment {scores.alignment}", headings, errors, left=("unit",))
+    print_table(f"{title}, alignment {scores.alignment}", ERROR_COLUMNS, scores.error_rows(), left=("unit",))
     if scores.lengths:
         print_table(
             "Mean errors by length of the sub-trajectories",
@@ -179,7 +164,7 @@ def print_scores(title: str, scores: "Scores") -> None:
                 for of in scores.lengths
             ],
         )
-    print_values("", [*values, *counts])
+    print_values("", scores.value_rows())
 
 
 def print_kitti(kitti: "KittiScores") -> None:
