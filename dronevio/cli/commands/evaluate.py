@@ -89,7 +89,7 @@ class EvaluateCommand(Settings):
     """Lengths of the sub-trajectories for errors by length [m]. The default is 10, 20, 30, 40 and 50 % of the path."""
     kitti: bool = False
     """Also compute the metrics of the KITTI odometry benchmark, with its definitions."""
-    metrics: tuple[str, ...] = ()
+    metrics: tuple[str, ...] | None = None
     """Metrics of your own that are also printed: python:package.module:NAME, a `dronevio.eval.metrics.Metric` whose
     function is given the `ScoredTrajectory`."""
     plot: Path | None = None
@@ -110,7 +110,7 @@ def main(arguments: Sequence[str]) -> int:
     if _is_recording(command.estimate) and not _is_recording(command.truth):
         expected = f"the truth first: dronevio evaluate {command.estimate} {command.truth}"
         raise InputError(command.estimate, "it is a recording, which holds the truth", expected)
-    own = {text: PythonMetric.parse(text).instance_of(Metric) for text in command.metrics}
+    own = {text: PythonMetric.parse(text).instance_of(Metric) for text in command.metrics or ()}
     estimate = _trajectory(command, command.estimate)
     truth = _trajectory(command, command.truth, estimate.t_ns)
     if command.association == "interpolate":
