@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from dronevio.cli.options import Printing, PrintOptions
-from dronevio.cli.terminal import parse, print_json, print_table, print_values, print_warning
+from dronevio.cli.terminal import command_line, parse, print_json, print_table, print_values, print_warning
 from dronevio.models.ranges import Range, Settings
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.models.errors import InputError
 
     if _is_recording(command.estimate) and not _is_recording(command.truth):
-        expected = f"the truth first: dronevio evaluate {command.estimate} {command.truth}"
+        expected = f"the truth first: {command_line('evaluate', command.estimate, command.truth)}"
         raise InputError(command.estimate, "it is a recording, which holds the truth", expected)
     estimate = _trajectory(command, command.estimate)
     truth = _trajectory(command, command.truth, estimate.t_ns)

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from dronevio.cli.options import Output, OutputOptions, RecordingInput, RecordingOptions
-from dronevio.cli.terminal import parse, print_defects, print_json, print_table, print_warning, progress_bars
+from dronevio.cli.terminal import (
+    command_line,
+    parse,
+    print_defects,
+    print_json,
+    print_table,
+    print_warning,
+    progress_bars,
+)
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.ranges import Range, Settings
 
@@ -172,4 +180,4 @@ def _print_result(command: LogCommand, estimates: "Sequence[NamedEstimate]") -> 
         ],
     )
     print(f"wrote {command.out} ({size:.1f} MB)")
-    print(f"open it:  dronevio view {command.out}")
+    print(f"open it:  {command_line('view', command.out)}")

@@ -15,6 +15,7 @@ from dronevio.cli.progress import Bars
 from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
 from dronevio.cli.settings.option_tables import ESTIMATOR, MAP, options_from
 from dronevio.cli.terminal import (
+    command_line,
     innovation_rows,
     print_defects,
     print_json,
@@ -149,7 +150,7 @@ def main(arguments: Sequence[str]) -> int:
     if command.save_map is not None:
         print(f"map:      {command.save_map}")
     print(f"report:   {target}/report.html")
-    print(f"open it:  dronevio view {target}")
+    print(f"open it:  {command_line('view', target)}")
     return code
 
 
@@ -215,7 +216,7 @@ def _run(
     info = RunInfo(
         title=f"{scenario.name}: {scenario.description}",
         command=repeat,
-        open_command=f"dronevio view {target}",
+        open_command=command_line("view", target),
         seed=scenario.seed,
         configuration=configuration,
     )

@@ -15,7 +15,7 @@ import tyro
 from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
 from dronevio.cli.settings.option_tables import SFM, options_from
-from dronevio.cli.terminal import parse, print_json, print_values, print_warning, progress_bars
+from dronevio.cli.terminal import command_line, parse, print_json, print_values, print_warning, progress_bars
 from dronevio.estimator.sfm.config import SfmConfig
 from dronevio.models.ranges import Range, Settings
 
@@ -232,7 +232,7 @@ def _write(
     info = RunInfo(
         title=f"Structure from motion: {command.images.name}",
         command=shlex.join(["dronevio", "sfm", *arguments]),
-        open_command=f"dronevio view {target}",
+        open_command=command_line("view", target),
         configuration={"dronevio": __version__, "sfm": to_jsonable(command.sfm)},
     )
     results = ReconstructionResults(
@@ -420,4 +420,4 @@ def _print(target: Path, images: "ImageSet", result: "SfmResult", left_out: dict
         ),
     )
     print(f"report:   {target}/report.html")
-    print(f"open it:  dronevio view {target}")
+    print(f"open it:  {command_line('view', target)}")
