@@ -64,7 +64,7 @@ class EstimateCommand:
     (--save-g2o).
 
     Examples:
-      dronevio estimate recordings/room-0
+      dronevio estimate recordings/room-v0-0
       dronevio estimate V1_01_easy --out v101.tum
       dronevio estimate V1_01_easy --cameras 0 --imu-rate v101_imu.tum
       dronevio estimate flight.mcap --calibration camchain.yaml imu.yaml --topics.images /left/image_raw

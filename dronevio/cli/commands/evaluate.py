@@ -33,7 +33,7 @@ class EvaluateCommand(Settings):
     coverage is the share of the frames that have a pose.
 
     Examples:
-      dronevio evaluate runs/room/groundtruth.tum runs/room/estimate.tum
+      dronevio evaluate runs/room-v0-0/groundtruth.tum runs/room-v0-0/estimate.tum
       dronevio evaluate V1_02_medium estimate.tum --alignment se3
       dronevio evaluate truth.tum estimate.tum --rpe-delta 10 --rpe-unit m
       dronevio evaluate 00_gt.txt 00_mine.txt --kitti

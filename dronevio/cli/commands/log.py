@@ -37,7 +37,7 @@ class LogCommand(Settings):
       dronevio log V1_01_easy estimate.tum
       dronevio log V1_01_easy vins.tum openvins.tum --names VINS-Fusion,OpenVINS -o v101.rrd
       dronevio log flight.mcap estimate.tum --truth mocap.tum --alignment se3
-      dronevio log recordings/room-0 runs/*/estimate.tum --cameras 0 --json
+      dronevio log recordings/room-v0-0 runs/room-v0-0/estimate.tum --cameras 0 --json
     """
 
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]

@@ -63,7 +63,7 @@ class RunCommand:
       dronevio run hover --keep-recording
       dronevio run --rig euroc-stereo
       dronevio run --fly-on estimate
-      dronevio run --policy hover.safetensors --fly-on estimate
+      dronevio run --policy examples/rl/policies/hover.safetensors --fly-on estimate
       dronevio run --scenario room-square --slam
       dronevio run --scenario room-square --slam --save-map room.map
       dronevio run --estimator.smoother.max-keyframes 16

@@ -55,8 +55,8 @@ class SfmCommand(Settings):
       dronevio sfm photographs --add-to runs/sfm-photographs --out house-2
       dronevio sfm photographs --camera per-image --masks masks --out house
       dronevio sfm flight.mp4 --every 10
-      dronevio sfm recordings/room-0 --frames 100
-      dronevio sfm recordings/room-0 --frames 100 --poses recordings/room-0
+      dronevio sfm recordings/room-v0-0 --frames 100
+      dronevio sfm recordings/room-v0-0 --frames 100 --poses recordings/room-v0-0
       dronevio sfm V1_01_easy --cameras 0 1 --frames 100 --pairs.overlap 20 --format colmap-text
     """
 
