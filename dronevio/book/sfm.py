@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from dronevio.book.lesson import print_lesson, print_paragraph
 from dronevio.cli.options import Printing, PrintOptions
-from dronevio.cli.terminal import parse, print_json
+from dronevio.cli.terminal import command_line, parse, print_json
 from dronevio.models.ranges import Range, Settings
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str]) -> int:
         return 0
     _print_lesson(experiment)
     print(f"plot:     {command.out}/cloud.png")
-    print(f"open it:  dronevio view {command.out}/cloud.rrd")
+    print(f"open it:  {command_line('view', command.out / 'cloud.rrd')}")
     return 0
 
 

@@ -4,11 +4,13 @@ import inspect
 import io
 import json
 import os
+import shlex
 import shutil
 import sys
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeVar
 
@@ -178,6 +180,15 @@ def print_json(document: Mapping[str, object]) -> None:
     """Print a document for other programs on standard output."""
     json.dump(document, sys.stdout, indent=2, allow_nan=False)
     sys.stdout.write("\n")
+
+
+def command_line(*words: str | Path) -> str:
+    """Return a call of dronevio as it is typed in a shell, with quotation marks where they are needed.
+
+    Args:
+        words: The words after ``dronevio``.
+    """
+    return shlex.join(["dronevio", *map(str, words)])
 
 
 def print_values(title: str, rows: Sequence[tuple[str, str, str]]) -> None:

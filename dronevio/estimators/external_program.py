@@ -87,6 +87,14 @@ def run_program(command: Sequence[str], path: Path, pose_offset_s: float = 0.0, 
     return ProgramRun(trajectory, cpu_s, recording)
 
 
+def require_program(program: str) -> None:
+    """Raise ConfigError if a program, named as on a command line, does not exist or may not be executed."""
+    if shutil.which(program) is None:
+        if Path(program).is_file() and "/" in program:
+            raise ConfigError(f"{program}: it is not executable; expected a program that can be run (chmod +x)")
+        raise ConfigError(f"{program}: no such program; expected a program that can be run")
+
+
 def copy_sensor_data(mav0: Path, target: Path) -> tuple[Path, ...]:
     """Copy the sensor data of a recording, without its ground truth, into a new folder.
 

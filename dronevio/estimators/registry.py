@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dronevio.estimators.external_program import OUTPUT, RECORDING, ProgramRun, run_program
+from dronevio.estimators.external_program import OUTPUT, RECORDING, ProgramRun, require_program, run_program
 from dronevio.estimators.python_estimator import PythonEstimator
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.defects import Defect, refuse_defects
@@ -158,6 +158,11 @@ class NamedEstimator:
         if self.name.startswith(PYTHON):
             return {"class": self.name, "code": PythonEstimator.parse(self.name).source_hash()}
         return {"estimator": self.name, "config": to_jsonable(ESTIMATORS[self.name].settings())}
+
+    def require_program(self) -> None:
+        """Raise ConfigError if the estimator is a program that cannot be started on this machine."""
+        if external := EXTERNAL.match(self.name):
+            require_program(shlex.split(self.name[external.end() :])[0])
 
     def run(self, path: Path, strict: bool = False, start_s: float = 0.0, laps: int = 1) -> Estimated:
         """Estimate the trajectory of a recording.

@@ -70,6 +70,26 @@ def test_estimators_are_named_or_commands() -> None:
         estimator_named("external:run '{recording} {output}")
 
 
+def test_programs_are_checked_before_anything_is_simulated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mine = tmp_path / "mine.sh"
+    mine.write_text("#!/bin/sh\n", encoding="utf-8")
+    for program, found in (("no-such-program", "no such program"), (f"{mine}", "not executable; expected")):
+        words = [
+            "benchmark",
+            "--scenarios",
+            "short",
+            "--out",
+            str(tmp_path / "out"),
+            "--cache",
+            str(tmp_path / "cache"),
+        ]
+        assert main([*words, "--estimators", f"mine=external:{program} {{recording}} {{output}}"]) == 2
+        assert f"{program}: " in (message := capsys.readouterr().err) and found in message
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.sh"]
+    mine.chmod(0o755)
+    estimator_named(f"mine=external:{mine} {{recording}} {{output}}").require_program()
+
+
 def test_missing_programs_are_reported(flown: Result) -> None:
     with pytest.raises(ConfigError, match="no-such-program: No such file"):
         estimator_named("external:no-such-program {recording} {output}").run(flown.folder)

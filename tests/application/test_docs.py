@@ -23,6 +23,7 @@ from dronevio.cli.settings.named_fields import named_fields, settings_of
 from dronevio.cli.terminal import HELP_ALL
 from dronevio.estimators.registry import ESTIMATORS
 from dronevio.eval.benchmark.rows import read_rows, write_rows
+from dronevio.sim.scenarios import SCENARIOS
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 DOCS = CHECKOUT / "docs"
@@ -167,6 +168,15 @@ def test_command_lines_in_pages_are_valid(page: str, line: str) -> None:
     depth = 2 if f"{words[0]} {words[1] if words[1:] else ''}" in helps() else 1
     explained = helps()[" ".join(words[:depth])] + HELP_ALL
     assert [word for word in words[depth:] if word.startswith("--") and word not in explained] == [], page
+
+
+def test_examples_of_help_texts_name_folders_that_commands_make() -> None:
+    """A recording or run that is named by its scenario has the version and the seed in its name, as by default."""
+    named = re.findall(r"(?<!--out )\b(?:recordings|runs)/([\w-]+)", "\n".join(helps().values()))
+    scenarios = {name.partition("-")[0] for name in SCENARIOS}
+    default = [name for name in named if name.partition("-")[0] in scenarios]
+    assert len(default) > 10
+    assert [name for name in default if not re.fullmatch(r"[a-z-]+-v\d+-\d+(-\d+)?", name)] == []
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -214,6 +214,9 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
     labels = [estimator.label for estimator in estimators]
     if not labels or len(set(labels)) < len(labels):
         raise ConfigError(f"estimators {', '.join(labels) or 'none'}; expected at least one, and each name once")
+    if command.engine == "local":
+        for estimator in estimators:
+            estimator.require_program()
     if command.rig is not None and not names:
         raise ConfigError(f"--rig {command.rig} without scenarios; a recording has its own rig")
     if command.variants and not names:

@@ -33,12 +33,12 @@ class ConvertCommand:
     which run on a bag, and orbslam3, basalt and kimera, which run on an EuRoC folder.
 
     Examples:
-      dronevio convert recordings/room-0 room-0.mcap
-      dronevio convert recordings/room-0 room-0 --to bag --images raw
-      dronevio convert recordings/room-0 for-basalt/room-0 --to euroc --imu-sampling increment
+      dronevio convert recordings/room-v0-0 room-0.mcap
+      dronevio convert recordings/room-v0-0 room-0 --to bag --images raw
+      dronevio convert recordings/room-v0-0 for-basalt/room-0 --to euroc --imu-sampling increment
       dronevio convert flight.mcap recordings/flight --to euroc --calibration camchain.yaml imu.yaml
-      dronevio convert recordings/room-0 config/room-0 --to openvins
-      dronevio convert recordings/room-0 truth.tum
+      dronevio convert recordings/room-v0-0 config/room-0 --to openvins
+      dronevio convert recordings/room-v0-0 truth.tum
       dronevio convert MH_01_easy.bag recordings/MH_01_easy --to euroc --calibration camchain.yaml imu.yaml
     """
 

@@ -12,7 +12,7 @@ import tyro
 from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
 from dronevio.cli.settings.option_tables import DENSE, options_from
-from dronevio.cli.terminal import parse, print_json, print_values, progress_bars
+from dronevio.cli.terminal import command_line, parse, print_json, print_values, progress_bars
 from dronevio.estimator.dense.config import DenseConfig
 from dronevio.models.ranges import Range, Settings
 
@@ -186,7 +186,7 @@ def _write(
     info = RunInfo(
         title=f"Surfaces: {command.scene.name}",
         command=shlex.join(["dronevio", "dense", *arguments]),
-        open_command=f"dronevio view {target}",
+        open_command=command_line("view", target),
         configuration={"dronevio": __version__, "dense": to_jsonable(command.dense)},
     )
     views = ViewLoader(images, reconstruction, command.dense.views)
@@ -241,4 +241,4 @@ def _print(target: Path, command: DenseCommand, result: "DenseResult") -> None:
         for what, name in _FILES[kind].items():
             print(f"{what + ':':<9} {target}/{name}")
     print(f"report:   {target}/report.html")
-    print(f"open it:  dronevio view {target}")
+    print(f"open it:  {command_line('view', target)}")

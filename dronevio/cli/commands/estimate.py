@@ -13,6 +13,7 @@ from dronevio.cli.options import Output, OutputOptions, RecordingInput, Recordin
 from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
 from dronevio.cli.settings.option_tables import ESTIMATOR, MAP, options_from
 from dronevio.cli.terminal import (
+    command_line,
     innovation_rows,
     parse,
     print_defects,
@@ -63,7 +64,7 @@ class EstimateCommand:
     (--save-g2o).
 
     Examples:
-      dronevio estimate recordings/room-0
+      dronevio estimate recordings/room-v0-0
       dronevio estimate V1_01_easy --out v101.tum
       dronevio estimate V1_01_easy --cameras 0 --imu-rate v101_imu.tum
       dronevio estimate flight.mcap --calibration camchain.yaml imu.yaml --topics.images /left/image_raw
@@ -285,7 +286,7 @@ def print_estimation(command: EstimateCommand, estimation: Estimation, summary: 
         print("The recording is incomplete: it was interrupted.")
     print(f"wrote {' and '.join(str(place) for place in result_files(command).values())}")
     if estimation.recording.ground_truth is not None:
-        print(f"evaluate it:  dronevio evaluate {command.recording} {command.out}")
+        print(f"evaluate it:  {command_line('evaluate', command.recording, command.out)}")
 
 
 def numbered(command: EstimateCommand, number: int) -> EstimateCommand:

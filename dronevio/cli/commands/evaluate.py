@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import tyro
 
 from dronevio.cli.options import Printing, PrintOptions
-from dronevio.cli.terminal import parse, print_json, print_table, print_values, print_warning
+from dronevio.cli.terminal import command_line, parse, print_json, print_table, print_values, print_warning
 from dronevio.models.python_names import PythonName
 from dronevio.models.ranges import Range, Settings
 
@@ -41,7 +41,7 @@ class EvaluateCommand(Settings):
     coverage is the share of the frames that have a pose.
 
     Examples:
-      dronevio evaluate runs/room/groundtruth.tum runs/room/estimate.tum
+      dronevio evaluate runs/room-v0-0/groundtruth.tum runs/room-v0-0/estimate.tum
       dronevio evaluate V1_02_medium estimate.tum --alignment se3
       dronevio evaluate truth.tum estimate.tum --rpe-delta 10 --rpe-unit m
       dronevio evaluate 00_gt.txt 00_mine.txt --kitti
@@ -108,7 +108,7 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.models.errors import InputError
 
     if _is_recording(command.estimate) and not _is_recording(command.truth):
-        expected = f"the truth first: dronevio evaluate {command.estimate} {command.truth}"
+        expected = f"the truth first: {command_line('evaluate', command.estimate, command.truth)}"
         raise InputError(command.estimate, "it is a recording, which holds the truth", expected)
     own = {text: PythonMetric.parse(text).instance_of(Metric) for text in command.metrics or ()}
     estimate = _trajectory(command, command.estimate)

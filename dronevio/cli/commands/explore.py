@@ -16,6 +16,7 @@ from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
 from dronevio.cli.settings.option_tables import EXPLORE, options_from
 from dronevio.cli.terminal import (
+    command_line,
     parse,
     print_defects,
     print_json,
@@ -252,7 +253,7 @@ def _provenance(
     return RunInfo(
         title=f"{scenario.name}: {scenario.description}",
         command=repeating_command(arguments),
-        open_command=f"dronevio view {target}",
+        open_command=command_line("view", target),
         seed=scenario.seed,
         configuration=configuration,
     )
@@ -307,4 +308,4 @@ def _print(title: str, flight: "ExploredFlight", target: Path) -> None:
     if flight.collision is not None:
         print(f"the flight ended early: the drone {flight.collision}")
     print(f"report:   {target}/report.html")
-    print(f"open it:  dronevio view {target}")
+    print(f"open it:  {command_line('view', target)}")

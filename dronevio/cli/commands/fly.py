@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from dronevio.cli.flight_options import COLLIDED, FlightOptions, ScenarioInput, parse_flight
 from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
-from dronevio.cli.terminal import print_json, print_values, progress_bars, with_scenario
+from dronevio.cli.terminal import command_line, print_json, print_values, progress_bars, with_scenario
 
 if TYPE_CHECKING:
     from dronevio.sim.flight import Flight
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str]) -> int:
     if flight.collision is not None:
         print(f"the flight ended early: the drone {flight.collision}")
     print(f"wrote {target}")
-    print(f"estimate it:  dronevio estimate {target}")
+    print(f"estimate it:  {command_line('estimate', target)}")
     return code
 
 

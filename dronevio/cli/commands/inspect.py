@@ -28,8 +28,8 @@ class InspectCommand:
     Examples:
       dronevio inspect V1_01_easy
       dronevio inspect flight.mcap --calibration camchain.yaml imu.yaml --out flight.html
-      dronevio inspect recordings/room-0 --run
-      dronevio inspect recordings/room-0 --json --strict
+      dronevio inspect recordings/room-v0-0 --run
+      dronevio inspect recordings/room-v0-0 --json --strict
     """
 
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from dronevio.cli.options import Output, OutputOptions, RecordingInput, RecordingOptions
-from dronevio.cli.terminal import parse, print_defects, print_json, print_table, print_warning, progress_bars
+from dronevio.cli.terminal import (
+    command_line,
+    parse,
+    print_defects,
+    print_json,
+    print_table,
+    print_warning,
+    progress_bars,
+)
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.ranges import Range, Settings
 
@@ -29,7 +37,7 @@ class LogCommand(Settings):
       dronevio log V1_01_easy estimate.tum
       dronevio log V1_01_easy vins.tum openvins.tum --names VINS-Fusion,OpenVINS -o v101.rrd
       dronevio log flight.mcap estimate.tum --truth mocap.tum --alignment se3
-      dronevio log recordings/room-0 runs/*/estimate.tum --cameras 0 --json
+      dronevio log recordings/room-v0-0 runs/room-v0-0/estimate.tum --cameras 0 --json
     """
 
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
@@ -172,4 +180,4 @@ def _print_result(command: LogCommand, estimates: "Sequence[NamedEstimate]") -> 
         ],
     )
     print(f"wrote {command.out} ({size:.1f} MB)")
-    print(f"open it:  dronevio view {command.out}")
+    print(f"open it:  {command_line('view', command.out)}")

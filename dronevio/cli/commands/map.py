@@ -15,6 +15,7 @@ from dronevio.cli.options import Output, OutputOptions, RecordingInput, Recordin
 from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
 from dronevio.cli.settings.option_tables import DENSE_MAP, ESTIMATOR, MAP, options_from
 from dronevio.cli.terminal import (
+    command_line,
     parse,
     print_defects,
     print_json,
@@ -121,7 +122,7 @@ def main(arguments: Sequence[str]) -> int:
     print_values(f"Map of {recording.name}", figures.rows())
     print(f"files:    {target}/{{{','.join(summary['files'])}}}")
     print(f"report:   {target}/report.html")
-    print(f"open it:  dronevio view {target}")
+    print(f"open it:  {command_line('view', target)}")
     return 0
 
 
@@ -244,7 +245,7 @@ def _written(
     info = RunInfo(
         title=f"Map: {recording.name}",
         command=shlex.join(["dronevio", "map", *arguments]),
-        open_command=f"dronevio view {target}",
+        open_command=command_line("view", target),
         configuration={"dronevio": __version__, **{name: to_jsonable(value) for name, value in settings.items()}},
     )
     results = DenseMapResults(mapped.occupancy, mapped.mesh, mapped.trajectory, band_m, figures)

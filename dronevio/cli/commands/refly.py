@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from dronevio.cli.options import Output, OutputOptions
-from dronevio.cli.terminal import parse, print_json, print_values, progress_bars
+from dronevio.cli.terminal import command_line, parse, print_json, print_values, progress_bars
 from dronevio.models.ranges import Range, Settings
 
 
@@ -102,7 +102,7 @@ def main(arguments: Sequence[str]) -> int:
         ),
     )
     print(f"wrote {target}")
-    print(f"estimate it:  dronevio estimate {target}")
+    print(f"estimate it:  {command_line('estimate', target)}")
     return 0
 
 

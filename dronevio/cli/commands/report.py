@@ -21,11 +21,11 @@ class ReportCommand:
     as an infinite error. CSV has one row per scenario, estimator and measure.
 
     Examples:
-      dronevio report runs/benchmark
-      dronevio report results.parquet --format markdown
-      dronevio report results.parquet --format markdown --tables summary consistency
-      dronevio report results.parquet --format latex --measures ate_m drift_percent --out table.tex
-      dronevio report results.parquet --format csv > results.csv
+      dronevio report benchmarks/room
+      dronevio report benchmarks/room/results.parquet --format markdown
+      dronevio report benchmarks/room/results.parquet --format markdown --tables summary consistency
+      dronevio report benchmarks/room/results.parquet --format latex --measures ate_m drift_percent --out table.tex
+      dronevio report benchmarks/room/results.parquet --format csv > results.csv
     """
 
     results: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RESULTS")]

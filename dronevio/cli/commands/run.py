@@ -15,6 +15,7 @@ from dronevio.cli.progress import Bars
 from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
 from dronevio.cli.settings.option_tables import ESTIMATOR, MAP, options_from
 from dronevio.cli.terminal import (
+    command_line,
     innovation_rows,
     print_defects,
     print_json,
@@ -63,7 +64,7 @@ class RunCommand:
       dronevio run hover --keep-recording
       dronevio run --rig euroc-stereo
       dronevio run --fly-on estimate
-      dronevio run --policy hover.safetensors --fly-on estimate
+      dronevio run --policy examples/rl/policies/hover.safetensors --fly-on estimate
       dronevio run --scenario room-square --slam
       dronevio run --scenario room-square --slam --save-map room.map
       dronevio run --estimator.smoother.max-keyframes 16
@@ -151,7 +152,7 @@ def main(arguments: Sequence[str]) -> int:
     if command.save_map is not None:
         print(f"map:      {command.save_map}")
     print(f"report:   {target}/report.html")
-    print(f"open it:  dronevio view {target}")
+    print(f"open it:  {command_line('view', target)}")
     return code
 
 
@@ -217,7 +218,7 @@ def _run(
     info = RunInfo(
         title=f"{scenario.name}: {scenario.description}",
         command=repeat,
-        open_command=f"dronevio view {target}",
+        open_command=command_line("view", target),
         seed=scenario.seed,
         configuration=configuration,
     )

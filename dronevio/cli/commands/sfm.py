@@ -15,7 +15,7 @@ import tyro
 from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
 from dronevio.cli.settings.option_tables import SFM, options_from
-from dronevio.cli.terminal import parse, print_json, print_values, print_warning, progress_bars
+from dronevio.cli.terminal import command_line, parse, print_json, print_values, print_warning, progress_bars
 from dronevio.estimator.sfm.config import SfmConfig
 from dronevio.models.ranges import Range, Settings
 
@@ -55,8 +55,8 @@ class SfmCommand(Settings):
       dronevio sfm photographs --add-to runs/sfm-photographs --out house-2
       dronevio sfm photographs --camera per-image --masks masks --out house
       dronevio sfm flight.mp4 --every 10
-      dronevio sfm recordings/room-0 --frames 100
-      dronevio sfm recordings/room-0 --frames 100 --poses recordings/room-0
+      dronevio sfm recordings/room-v0-0 --frames 100
+      dronevio sfm recordings/room-v0-0 --frames 100 --poses recordings/room-v0-0
       dronevio sfm V1_01_easy --cameras 0 1 --frames 100 --pairs.overlap 20 --format colmap-text
     """
 
@@ -232,7 +232,7 @@ def _write(
     info = RunInfo(
         title=f"Structure from motion: {command.images.name}",
         command=shlex.join(["dronevio", "sfm", *arguments]),
-        open_command=f"dronevio view {target}",
+        open_command=command_line("view", target),
         configuration={"dronevio": __version__, "sfm": to_jsonable(command.sfm)},
     )
     results = ReconstructionResults(
@@ -420,4 +420,4 @@ def _print(target: Path, images: "ImageSet", result: "SfmResult", left_out: dict
         ),
     )
     print(f"report:   {target}/report.html")
-    print(f"open it:  dronevio view {target}")
+    print(f"open it:  {command_line('view', target)}")

@@ -35,9 +35,9 @@ class ViewCommand(Settings):
     ssh -L 9090:127.0.0.1:9090 -L 9876:127.0.0.1:9876 HOST.
 
     Examples:
-      dronevio view runs/room
-      dronevio view runs/room/run.rrd --web
-      dronevio view runs/room/report.html
+      dronevio view runs/room-v0-0
+      dronevio view runs/room-v0-0/run.rrd --web
+      dronevio view runs/room-v0-0/report.html
     """
 
     run: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]

@@ -16,7 +16,10 @@ COMMANDS = CommandGroup(
         "show": Subcommand("dronevio.cli.commands.policy.show", "what a policy observes and commands, and its origin"),
         "export-onnx": Subcommand("dronevio.cli.commands.policy.export_onnx", "write a policy as an ONNX model"),
     },
-    ("dronevio policy evaluate hover.safetensors", "dronevio policy show hover.safetensors"),
+    (
+        "dronevio policy evaluate examples/rl/policies/hover.safetensors",
+        "dronevio policy show examples/rl/policies/hover.safetensors",
+    ),
 )
 """The commands for policies."""
 

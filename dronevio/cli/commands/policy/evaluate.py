@@ -24,9 +24,9 @@ class EvaluateCommand(Settings):
     goals without learning: planner maps the observed depth and plans, straight flies straight ahead.
 
     Examples:
-      dronevio policy evaluate hover.safetensors
-      dronevio policy evaluate hover-*.safetensors --episodes 1000 --randomization moderate
-      dronevio policy evaluate race.safetensors --world-seed 3 --json
+      dronevio policy evaluate examples/rl/policies/hover.safetensors
+      dronevio policy evaluate examples/rl/policies/hover-*.safetensors --episodes 1000 --randomization moderate
+      dronevio policy evaluate examples/rl/policies/race.safetensors --world-seed 3 --json
       dronevio policy evaluate planner straight --episodes 50 --worlds 50
       dronevio policy evaluate planner --environment dronevio/VioNavigate-v0 --episodes 10
     """

@@ -19,8 +19,8 @@ class ExportCommand:
     The output is an array (n, 4) of actions. The package onnx is needed: pip install 'dronevio[onnx]'.
 
     Examples:
-      dronevio policy export-onnx hover.safetensors
-      dronevio policy export-onnx hover.safetensors --out models/hover.onnx
+      dronevio policy export-onnx examples/rl/policies/hover.safetensors
+      dronevio policy export-onnx examples/rl/policies/hover.safetensors --out models/hover.onnx
     """
 
     policy: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]

@@ -20,8 +20,8 @@ class ShowCommand:
     """Print the description of a trained policy: environment, observations, actions, network and origin.
 
     Examples:
-      dronevio policy show hover.safetensors
-      dronevio policy show hover.safetensors --json
+      dronevio policy show examples/rl/policies/hover.safetensors
+      dronevio policy show examples/rl/policies/hover.safetensors --json
     """
 
     policy: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
