@@ -29,6 +29,7 @@ def test_imu_writes_plots_and_prints_json(imu_folder: Path, capsys: pytest.Captu
     assert document["states"] == 8 and document["factors"] == 10 and document["samples"] == [5] * 7
     assert list(document["drift"]) == list(IMUS)
     assert {study["runs"] for study in document["drift"].values()} == {2}
+    assert document["drift"]["MPU-6050"]["uncalibrated_m"] > 10.0 * document["drift"]["MPU-6050"]["measured_m"]
     assert len(document["camera"]["rms_m"]) == 2  # after 2.5 s and 5 s
     for name in ("path.png", "graph.png", "drift.png", "camera.png"):
         assert_plot(imu_folder / name)
@@ -44,6 +45,7 @@ def test_imu_explains_every_value(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert {name.rsplit(".", 1)[1] for name in modules} == {"loop", "imu", "optimization", "drift", "visual_inertial"}
     assert all(importlib.util.find_spec(name) for name in modules)
     assert printed.count("Book: section 7.4") == 6
+    assert "uncalibrated [m]" in printed and "turn-on bias of 6.7 °/s" in " ".join(printed.split())
     lines = printed.splitlines()
     for start in (i for i, line in enumerate(lines) if re.fullmatch(r" +value +unit +meaning", line)):
         place, end = lines[start].index("meaning"), lines.index("", start)
