@@ -62,11 +62,13 @@ def test_imu_refuses_wrong_options(words: list[str], message: str, capsys: pytes
     assert message in capsys.readouterr().err
 
 
-def test_sfm_writes_plot_and_rerun_file_and_prints_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_sfm_writes_plot_page_and_rerun_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["book", "sfm", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "5, 544" in printed and "126.9" in printed and "125.5" in printed and "error before" in printed
     assert_plot(tmp_path / "cloud.png")
+    assert f"dronevio view {tmp_path}/sfm.html" in printed
+    assert "</html>" in (tmp_path / "sfm.html").read_text(encoding="utf-8")
     assert (tmp_path / "cloud.rrd").stat().st_size > 200_000
 
 
