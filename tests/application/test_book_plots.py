@@ -45,10 +45,12 @@ def test_scene_has_a_dot_for_each_point_and_a_number_at_each_camera(villa: SfmEx
 
 
 def test_colours_of_the_dots_are_those_of_the_points(villa: SfmExperiment) -> None:
-    drawn = [re.findall("#(..)(..)(..)", path.style) for path in sfm_scene(villa).paths[2:-1]]
-    colours = np.array([[int(byte, 16) for byte in found[0]] for found in drawn])
-    distance = np.abs(villa.colours[:, None].astype(int) - colours).max(axis=2).min(axis=1)
-    assert np.median(distance) <= 16
+    dots = sfm_scene(villa).paths[2:-1]
+    colours = [[int(path.style[i : i + 2], 16) for i in (9, 11, 13)] for path in dots]  # stroke: #rrggbb
+    counts = [len(path.points) // 2 for path in dots]
+    np.testing.assert_allclose(np.average(colours, axis=0, weights=counts), villa.colours.mean(axis=0), atol=10.0)
+    everywhere = np.concatenate([np.repeat([c], n, axis=0) for c, n in zip(colours, counts, strict=True)])
+    np.testing.assert_allclose(everywhere.std(axis=0), villa.colours.std(axis=0), rtol=0.15)
 
 
 def test_page_refers_to_no_other_file(villa: SfmExperiment) -> None:
