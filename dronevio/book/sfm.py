@@ -21,8 +21,9 @@ class BookSfmCommand(Settings):
     Each observation of a point in a photograph is a factor with a standard deviation of 1 px. The reconstruction that
     comes with the photographs is optimal except for details, so cameras and points are perturbed first; the
     Levenberg-Marquardt method then estimates poses and intrinsics of the cameras and the points. The command writes
-    cloud.png, which shows both states, and cloud.rrd, a rerun file. With a perturbation of 0 the adjustment starts near
-    the solution, as in the book; with 5 it starts too far away, and most seeds do not reach it.
+    cloud.png, which shows both states, sfm.html, a page on which they are rotated, and cloud.rrd, a rerun file. With a
+    perturbation of 0 the adjustment starts near the solution, as in the book; with 5 it starts too far away, and most
+    seeds do not reach it.
 
     Examples:
       dronevio book sfm
@@ -32,7 +33,7 @@ class BookSfmCommand(Settings):
     """
 
     out: Path = Path("runs/book-sfm")
-    """Folder for the plot and the rerun file."""
+    """Folder for the plot, the page and the rerun file."""
     seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the perturbation."""
     perturbation: Annotated[float, Range(0.0, 100.0)] = 1.0
@@ -50,12 +51,14 @@ def main(arguments: Sequence[str]) -> int:
 
     from dronevio.book.figures import save_figure
     from dronevio.book.rerun_file import write_sfm_rerun
+    from dronevio.book.sfm_page import sfm_page
     from dronevio.book.sfm_plots import draw_sfm_cloud
     from dronevio.estimator.book.sfm import run_sfm_experiment
 
     experiment = run_sfm_experiment(np.random.default_rng(command.seed), command.perturbation)
     command.out.mkdir(parents=True, exist_ok=True)
     save_figure(draw_sfm_cloud(experiment), command.out / "cloud.png")
+    (command.out / "sfm.html").write_text(sfm_page(experiment), encoding="utf-8")
     write_sfm_rerun(experiment, command.out / "cloud.rrd")
 
     if command.printing.json:
@@ -78,7 +81,8 @@ def main(arguments: Sequence[str]) -> int:
         return 0
     _print_lesson(experiment)
     print(f"plot:     {command.out}/cloud.png")
-    print(f"open it:  {command_line('view', command.out / 'cloud.rrd')}")
+    print(f"page:     {command_line('view', command.out / 'sfm.html')}")
+    print(f"rerun:    {command_line('view', command.out / 'cloud.rrd')}")
     return 0
 
 

@@ -17,8 +17,10 @@ from dronevio.models.rotation import inverse_pose
 
 _BOX_SCALE = 1.15  # compensates the wide margins of Matplotlib around a 3D box
 _OUTLIER_DEVIATIONS = 6.0  # points farther from the median than this many median deviations are not drawn
-_FRUSTUM_DEPTH = 0.2
-_T_VIEW_CAM = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+FRUSTUM_DEPTH = 0.2
+"""Distance of a drawn image plane from its camera, in units of the reconstruction."""
+T_VIEW_CAM = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""(4, 4) Pose of the first camera in the frame of the drawings: x right, y forward, z up."""
 
 
 def draw_sfm_cloud(experiment: SfmExperiment) -> Figure:
@@ -26,18 +28,18 @@ def draw_sfm_cloud(experiment: SfmExperiment) -> Figure:
     figure = Figure(figsize=(13.0, 9.6), layout="constrained")
     camera = len(experiment.photographs) // 2
     before, after = (_axes_3d(figure, position) for position in (221, 223))
-    T_view_world = _T_VIEW_CAM @ inverse_pose(experiment.Ts_world_cam[0])
-    kept = _inliers(_transformed(T_view_world, experiment.points))
+    T_view_world = T_VIEW_CAM @ inverse_pose(experiment.Ts_world_cam[0])
+    kept = inliers(transformed(T_view_world, experiment.points))
     shown = np.concatenate([experiment.points[kept], experiment.Ts_world_cam[:, :3, 3]])
     for axes, points, Ts_world_cam, title in (
         (before, experiment.points_initial, experiment.Ts_world_cam_initial, "Before"),
         (after, experiment.points, experiment.Ts_world_cam, "After"),
     ):
         axes.scatter(
-            *_transformed(T_view_world, points[kept]).T, c=experiment.colours[kept] / 255.0, s=9, depthshade=False
+            *transformed(T_view_world, points[kept]).T, c=experiment.colours[kept] / 255.0, s=9, depthshade=False
         )
         _draw_frusta(axes, experiment, T_view_world @ Ts_world_cam)
-        _equal_box(axes, _transformed(T_view_world, shown))
+        _equal_box(axes, transformed(T_view_world, shown))
         axes.set(xlabel="right", ylabel="forward", zlabel="up", title=f"{title}: {kept.sum()} points, camera frusta")
         axes.zaxis.set_major_locator(MaxNLocator(4))
         axes.view_init(elev=24.0, azim=-115.0)
@@ -78,12 +80,12 @@ def frustum(T_world_cam: Array, focal_px: float, width_px: int, height_px: int, 
     return np.concatenate([sides, np.stack([world, np.roll(world, -1, axis=0)], axis=1)])
 
 
-def _transformed(T: Array, points: Array) -> Array:
+def transformed(T: Array, points: Array) -> Array:
     """Return the points (N, 3) in another frame."""
     return np.asarray(points @ T[:3, :3].T + T[:3, 3])
 
 
-def _inliers(points: Array) -> npt.NDArray[np.bool_]:
+def inliers(points: Array) -> npt.NDArray[np.bool_]:
     """Return which of the points (N, 3) are not far from all others."""
     median = np.median(points, axis=0)
     deviation = np.median(np.abs(points - median), axis=0)
@@ -93,7 +95,7 @@ def _inliers(points: Array) -> npt.NDArray[np.bool_]:
 def _draw_frusta(axes: Axes3D, experiment: SfmExperiment, Ts_view_cam: Array) -> None:
     height, width = matplotlib.image.imread(experiment.photographs[0]).shape[:2]
     for T, focal_px in zip(Ts_view_cam, experiment.focal_px, strict=True):
-        edges = frustum(T, focal_px, width, height, _FRUSTUM_DEPTH)
+        edges = frustum(T, focal_px, width, height, FRUSTUM_DEPTH)
         axes.add_collection3d(Line3DCollection(edges, colors=ESTIMATE, linewidths=1.2))
 
 

@@ -3,8 +3,9 @@
 Section 7.4.1 of the book (Dellaert and Hutchinson, *Introduction to Robotics*) states that an estimate from the IMU
 alone drifts. Here many flights on the same circle measure by how much. They differ in their IMU errors only, white
 noise and the random walks of the biases, as the IMU factors model them. All begin with an exactly known state and bias;
-turn-on biases, bias instability, scale errors and quantization are left out. Dead reckoning is the solution of the
-graph of IMU factors, so that its errors are those of that graph.
+bias instability, scale errors and quantization are left out. The same flights are also integrated with unknown turn-on
+biases, as of an IMU without calibration. Dead reckoning is the solution of the graph of IMU factors, so that its errors
+are those of that graph.
 
 The prediction propagates the covariance of the state forward in time (Forster et al., "On-manifold preintegration for
 real-time visual-inertial odometry", T-RO 2017, eq. 44; `dronevio.estimator.imu.covariance`), as a Kalman filter does
@@ -45,7 +46,7 @@ class DriftStudy:
     """Errors of dead reckoning with one IMU, measured over R flights at M times, and predicted."""
 
     imu: ImuModel
-    """The IMU, of which only the four noise densities of `SOURCES` have an effect."""
+    """The IMU, of which only the four noise densities of `SOURCES` and the turn-on biases have an effect."""
     t_s: Array
     """(M,) Times since the start [s]."""
     error_m: Array
@@ -54,6 +55,8 @@ class DriftStudy:
     """(M, 3, 3) Predicted covariances of the position [m²]."""
     source_sigma_m: Array
     """(4,) Predicted standard deviations of the last position if only one of `SOURCES` existed [m]."""
+    uncalibrated_rms_m: float
+    """Measured spread of the last position if each flight has an unknown turn-on bias as well [m]."""
 
     @property
     def rms_m(self) -> Array:
@@ -96,10 +99,15 @@ def run_drift_study(
     flight = LoopFlight(duration_s=duration_s, imu_rate_hz=imu.rate_hz)
     t_s = np.arange(_REPORT_S, duration_s + 0.5 * _REPORT_S, _REPORT_S)
     rows = np.round(t_s * imu.rate_hz).astype(int) - 1
-    true_m, errors = flight.states(t_s).p_world_imu, []
+    true_m, errors, uncalibrated = flight.states(t_s).p_world_imu, [], []
+    bias_rng = rng.spawn(1)[0]
     for start in range(0, runs, _RUNS_AT_ONCE):
         gyro, accel = simulate_increments(flight, imu, rng, min(_RUNS_AT_ONCE, runs - start))
         errors.append(dead_reckoning(flight, gyro, accel)[:, rows] - true_m)
+        gyro_bias, accel_bias = bias_rng.standard_normal((2, len(gyro), 1, 3))
+        gyro += imu.gyro_turn_on_bias_rad_s * gyro_bias
+        accel += imu.accel_turn_on_bias_m_s2 * accel_bias
+        uncalibrated.append(dead_reckoning(flight, gyro, accel)[:, rows[-1]] - true_m[-1])
         progress(start + len(gyro), runs)
     last = [predicted_covariance(flight, _with_only(imu, source), t_s)[-1, 3:6, 3:6] for source in SOURCES]
     return DriftStudy(
@@ -108,6 +116,7 @@ def run_drift_study(
         error_m=np.concatenate(errors),
         covariance_m2=predicted_covariance(flight, imu, t_s)[:, 3:6, 3:6],
         source_sigma_m=np.sqrt(np.trace(last, axis1=1, axis2=2)),
+        uncalibrated_rms_m=float(np.sqrt(np.mean(np.sum(np.concatenate(uncalibrated) ** 2, axis=1)))),
     )
 
 

@@ -16,9 +16,10 @@ from dronevio.models.state import Trajectory
 
 AZIMUTH_DEG, ELEVATION_DEG = -60.0, 30.0
 """Direction from the scene to the viewer: angle around z from the x axis, and angle above the horizontal plane [°]."""
+MARGIN = 1.08
+"""Size of the picture relative to that of the scene."""
 _MAX_POINTS = 800  # of one path
 _MAX_SEGMENTS = 1500  # of the surroundings
-_MARGIN = 1.08  # of the picture around the scene
 _AXIS_SHARE = 0.25  # largest length of an axis relative to the radius of the scene
 _FONT_SHARE = 0.055  # size of letters relative to half of the width of the picture
 _LABEL_LETTERS = 2.2  # mean width of "start" and "end", relative to the size of letters
@@ -111,19 +112,15 @@ def path_scene(
         return None
     segments = outline[:: max(1, math.ceil(len(outline) / _MAX_SEGMENTS))].reshape(-1, 3)
     every = np.concatenate([*(points for points, *_ in tracks), segments])
-    low, high = every.min(axis=0), every.max(axis=0)
-    centre = 0.5 * (low + high)
-    radius_m = max(float(np.linalg.norm((every - centre)[:, :2], axis=1).max()), 0.1)
+    centre, radius_m, half_height_m = scene_extent(every)
     axis_m = _round_length(_AXIS_SHARE * radius_m)
-    elevation = math.radians(ELEVATION_DEG)
-    half_height_m = radius_m * math.sin(elevation) + 0.5 * float(high[2] - low[2]) * math.cos(elevation)
-    origin = low - centre
+    origin = every.min(axis=0) - centre
     axes = (
         SpatialPath("", "stroke: var(--ink); stroke-width: 2", np.stack([origin, tip]))
         for tip in origin + axis_m * np.eye(3)
     )
     tips = origin + 1.15 * axis_m * np.eye(3)
-    half_width_m = _MARGIN * radius_m
+    half_width_m = MARGIN * radius_m
     return PathScene(
         (
             SpatialPath("", f"stroke: {colours.SURROUNDINGS}; stroke-width: .8; opacity: .6", segments - centre, True),
@@ -135,9 +132,21 @@ def path_scene(
             *_ends(tracks[0][0] - centre, _LABEL_LETTERS * _FONT_SHARE * half_width_m),
         ),
         half_width_m,
-        _MARGIN * half_height_m,
+        MARGIN * half_height_m,
         axis_m,
     )
+
+
+def scene_extent(points: Array) -> tuple[Array, float, float]:
+    """Return the centre (3,) of points (N, 3), and half of the width and of the height of their picture [m].
+
+    The width suffices for all directions of view.
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    centre = 0.5 * (low + high)
+    radius_m = max(float(np.linalg.norm((points - centre)[:, :2], axis=1).max()), 0.1)
+    elevation = math.radians(ELEVATION_DEG)
+    return centre, radius_m, radius_m * math.sin(elevation) + 0.5 * float(high[2] - low[2]) * math.cos(elevation)
 
 
 def projected(points: Array) -> Array:

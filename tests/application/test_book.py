@@ -29,6 +29,7 @@ def test_imu_writes_plots_and_prints_json(imu_folder: Path, capsys: pytest.Captu
     assert document["states"] == 8 and document["factors"] == 10 and document["samples"] == [5] * 7
     assert list(document["drift"]) == list(IMUS)
     assert {study["runs"] for study in document["drift"].values()} == {2}
+    assert document["drift"]["MPU-6050"]["uncalibrated_m"] > 10.0 * document["drift"]["MPU-6050"]["measured_m"]
     assert len(document["camera"]["rms_m"]) == 2  # after 2.5 s and 5 s
     for name in ("path.png", "graph.png", "drift.png", "camera.png"):
         assert_plot(imu_folder / name)
@@ -44,6 +45,7 @@ def test_imu_explains_every_value(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert {name.rsplit(".", 1)[1] for name in modules} == {"loop", "imu", "optimization", "drift", "visual_inertial"}
     assert all(importlib.util.find_spec(name) for name in modules)
     assert printed.count("Book: section 7.4") == 6
+    assert "uncalibrated [m]" in printed and "turn-on bias of 6.7 °/s" in " ".join(printed.split())
     lines = printed.splitlines()
     for start in (i for i, line in enumerate(lines) if re.fullmatch(r" +value +unit +meaning", line)):
         place, end = lines[start].index("meaning"), lines.index("", start)
@@ -60,11 +62,13 @@ def test_imu_refuses_wrong_options(words: list[str], message: str, capsys: pytes
     assert message in capsys.readouterr().err
 
 
-def test_sfm_writes_plot_and_rerun_file_and_prints_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_sfm_writes_plot_page_and_rerun_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["book", "sfm", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "5, 544" in printed and "126.9" in printed and "125.5" in printed and "error before" in printed
     assert_plot(tmp_path / "cloud.png")
+    assert f"dronevio view {tmp_path}/sfm.html" in printed
+    assert "</html>" in (tmp_path / "sfm.html").read_text(encoding="utf-8")
     assert (tmp_path / "cloud.rrd").stat().st_size > 200_000
 
 

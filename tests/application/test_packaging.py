@@ -1,6 +1,7 @@
 """The installed package, and the links between the folders of a checkout."""
 
 import importlib.metadata
+import json
 import re
 import tomllib
 from importlib.resources import files
@@ -73,3 +74,21 @@ def test_set_up_installs_the_packages_of_the_doctor() -> None:
     installed = re.search(r"^packages=\((.+?)\)", setup, re.MULTILINE)
     assert installed is not None
     assert f"sudo apt-get install -y {installed[1]}" == INSTALL_COMMAND
+    assert f"make python3 {installed[1]} " in (CHECKOUT / "Dockerfile").read_text(encoding="utf-8")
+
+
+@in_checkout
+def test_address_of_the_repository_is_in_one_file() -> None:
+    address = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"]["Repository"]
+    others = [*CHECKOUT.glob("*.*"), *CHECKOUT.glob(".github/workflows/*"), *CHECKOUT.glob("docs/**/*.md")]
+    naming = [path.name for path in others if path.is_file() and address.encode() in path.read_bytes()]
+    assert naming == ["pyproject.toml"]
+
+
+@in_checkout
+def test_container_of_development_is_a_stage_of_the_dockerfile() -> None:
+    folder = CHECKOUT / ".devcontainer"
+    container = json.loads((folder / "devcontainer.json").read_text(encoding="utf-8"))
+    dockerfile = (folder / container["build"]["dockerfile"]).read_text(encoding="utf-8")
+    _, stage = re.split(rf"^FROM \S+ AS {container['build']['target']}$", dockerfile, maxsplit=1, flags=re.MULTILINE)
+    assert f"\nUSER {container['remoteUser']}\n" in stage.split("\nFROM ")[0]

@@ -69,6 +69,27 @@ def test_variances_of_the_sources_of_drift_add_up() -> None:
     assert len(study.source_sigma_m) == len(SOURCES)
 
 
+def test_unknown_turn_on_biases_spread_as_theory_predicts() -> None:
+    imu, flight = (
+        replace(SILENT, gyro_turn_on_bias_rad_s=1e-3, accel_turn_on_bias_m_s2=2e-2),
+        LoopFlight(duration_s=5.0),
+    )
+    study = run_drift_study(imu, np.random.default_rng(0), runs=200, duration_s=5.0)
+    initial = np.diag(np.repeat([0.0, 0.0, 0.0, 1e-3, 2e-2], 3) ** 2)
+    P = predicted_covariance(flight, SILENT, np.array([5.0]), initial)[-1, 3:6, 3:6]
+    assert study.uncalibrated_rms_m == pytest.approx(np.sqrt(np.trace(P)), rel=0.1)  # two standard deviations
+    assert study.rms_m[-1] < 1e-3
+
+
+def test_mpu_6050_drifts_less_than_better_imus_only_if_it_is_calibrated() -> None:
+    mpu, better = (
+        run_drift_study(IMUS[name], np.random.default_rng(0), runs=10, duration_s=20.0)
+        for name in ("MPU-6050", "ADIS16448")
+    )
+    assert mpu.rms_m[-1] < 0.7 * better.rms_m[-1]
+    assert mpu.uncalibrated_rms_m > 2.0 * better.uncalibrated_rms_m
+
+
 def test_twice_the_noise_is_twice_the_drift() -> None:
     noisier = replace(MPU_6050, **{source: 2.0 * getattr(MPU_6050, source) for source in SOURCES})
     one, two = (run_drift_study(imu, np.random.default_rng(3), runs=4, duration_s=5.0) for imu in (MPU_6050, noisier))
