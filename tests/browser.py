@@ -26,7 +26,8 @@ FLAGS = (
 WIDER = """(() => {
   const root = document.documentElement;
   if (root.scrollWidth <= innerWidth) return null;
-  const wide = [...document.querySelectorAll("body *")].filter((x) => x.getBoundingClientRect().right > innerWidth + 0.5);
+  const all = [...document.querySelectorAll("body *")];
+  const wide = all.filter((x) => x.getBoundingClientRect().right > innerWidth + 0.5);
   const names = wide.slice(0, 5).map((x) => `<${x.tagName.toLowerCase()} class="${x.getAttribute("class") ?? ""}">`);
   return `${root.scrollWidth} px: ${names.join(", ")}`;
 })()"""
