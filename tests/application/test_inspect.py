@@ -330,6 +330,8 @@ def test_a_simulated_flight_is_sound(document: dict[str, Any]) -> None:
 @pytest.mark.slow
 def test_the_page_in_a_browser(document: dict[str, Any], browser: Browser) -> None:
     assert browser.faults(Path(document["page"]).as_uri()) == []
+    browser.show(420)
+    assert browser.evaluate("(x => x.scrollWidth - x.clientWidth)(document.querySelector('.wide'))") == 0
 
 
 def test_the_page_is_one_file(document: dict[str, Any]) -> None:
