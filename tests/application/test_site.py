@@ -45,6 +45,7 @@ def address() -> Iterator[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)  # of 150 pages, each in two widths and two colour schemes
 def test_every_page_in_a_browser(address: str, browser: Browser) -> None:
     pages = sorted(path.relative_to(SITE).as_posix().removesuffix("index.html") for path in SITE.rglob("*.html"))
     assert len(pages) > 50 and "" in pages
