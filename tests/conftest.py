@@ -5,7 +5,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("DRONEVIO_WORLD_FILES", "0")  # tests neither depend on files of earlier runs nor leave any
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from dronevio.models.recordings.frame_truth import FrameTruth
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.state import CameraFrame, Trajectory
+from tests.browser import PROGRAMS, Browser, chromium
 
 SCRIPTS = [Path(__file__).resolve().parents[1] / folder for folder in ("benchmarks", "tools")]
 
@@ -47,6 +48,17 @@ def data_folder() -> Path:
     if not folder:
         pytest.skip("DRONEVIO_DATA is not set: it names a folder of public data sets")
     return Path(folder)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """A page in headless Chromium."""
+    program = chromium()
+    if program is None:
+        pytest.skip(f"no browser is installed: none of {', '.join(PROGRAMS)}")
+    opened = Browser(program, tmp_path_factory.mktemp("browser"))
+    yield opened
+    opened.close()
 
 
 @dataclass(frozen=True, eq=False)

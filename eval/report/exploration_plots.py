@@ -160,7 +160,7 @@ def _draw_places(ax: Axes, flight: ExploredFlight) -> None:
     """Draw pad, goal and the numbered places of the decisions."""
     goals = [(goal, "*", 13.0, "goal") for goal in flight.goals_m]
     for (x, y, _), marker, size, label in ((flight.pad_m, "s", 8.0, "pad"), *goals):
-        ax.plot(x, y, marker, color=INK, markersize=size, markeredgecolor=_PALE, linestyle="none", label=label)
+        ax.plot(x, y, marker, color=_DARK, markersize=size, markeredgecolor=_PALE, linestyle="none", label=label)
     box = {"boxstyle": "round,pad=0.2,rounding_size=0.6", "facecolor": _PALE, "edgecolor": _DARK, "linewidth": 0.5}
     for text, (x, y, _) in decision_labels(flight.decisions):
         offset = (5.0, 5.0)

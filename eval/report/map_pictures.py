@@ -21,7 +21,7 @@ _STATE_NAMES = {FREE: "free", OCCUPIED: "occupied", UNKNOWN: "unknown"}
 _PICTURE_PX = (1600, 900)
 _MESH_PX = 2.0  # distance of the drawn points of the mesh in the middle of the picture
 _HEADROOM_M = 0.3  # above the flight, where the view from above cuts the map open, so that no ceiling hides it
-_WIDTH_IN, _MAX_HEIGHT_IN = 7.2, 6.5
+_WIDTH_IN, _MAX_HEIGHT_IN = 5.4, 4.9
 _INNER_PERCENT = (1.0, 99.0)  # percentiles of the coordinates of the mesh that fill a picture
 
 

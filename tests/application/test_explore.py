@@ -22,6 +22,7 @@ from dronevio.eval.rerun.exploration import DECISIONS, GOAL, PLAN, ROUTE, TRUE_P
 from dronevio.models.occupancy import FREE, OCCUPIED
 from dronevio.models.occupancy_maps import read_occupancy
 from dronevio.models.recordings.tum import read_tum
+from tests.browser import Browser
 
 Result = Any  # the class of conftest, which cannot be imported
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "explore.md"
@@ -221,6 +222,11 @@ def test_every_outcome_has_words() -> None:
 def test_the_repeating_command_has_no_options_of_output() -> None:
     words = ["--seed", "3", "--out", "a b", "--json", "--live", "--out=c", "--goal", "1", "2", "3", "--overwrite"]
     assert repeating_command(words) == "dronevio explore --seed 3 --goal 1 2 3"
+
+
+@pytest.mark.slow
+def test_the_page_in_a_browser(flown: Result, browser: Browser) -> None:
+    assert browser.faults((flown.folder / "report.html").as_uri()) == []
 
 
 @pytest.mark.slow

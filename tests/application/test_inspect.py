@@ -39,6 +39,7 @@ from dronevio.models.imu import ImuSamples
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import exp_so3, integrated_rotations, log_so3, pose_matrix
+from tests.browser import Browser
 
 RATE_HZ, DURATION_S = 200.0, 24.0
 MODEL = CameraModel(640, 480, 400.0, 400.0, 319.5, 239.5)
@@ -324,6 +325,13 @@ def test_a_simulated_flight_is_sound(document: dict[str, Any]) -> None:
     assert document["frames"] == 120 and document["cameras"] == [[752, 480]]
     (offset,) = [row for row in document["findings"] if (row["topic"], row["name"]) == ("clocks", "time offset")]
     assert abs(offset["value"]) < 1e-3
+
+
+@pytest.mark.slow
+def test_the_page_in_a_browser(document: dict[str, Any], browser: Browser) -> None:
+    assert browser.faults(Path(document["page"]).as_uri()) == []
+    browser.show(420)
+    assert browser.evaluate("(x => x.scrollWidth - x.clientWidth)(document.querySelector('.wide'))") == 0
 
 
 def test_the_page_is_one_file(document: dict[str, Any]) -> None:

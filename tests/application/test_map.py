@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from dronevio.models.occupancy import FREE, OCCUPIED, OccupancyGrid
 from dronevio.models.occupancy_maps import read_occupancy, read_ros_map
 from dronevio.models.reconstructions import read_reconstruction
 from dronevio.models.recordings.tum import read_tum
+from tests.browser import Browser
 
 CAMERA = Pinhole(80, 60, np.array([[50.0, 0.0, 39.5], [0.0, 50.0, 29.5], [0.0, 0.0, 1.0]]))
 
@@ -142,12 +144,23 @@ def test_map_from_python_without_slam(recording: Path) -> None:
     assert result.volume_m3(FREE) > 1.0 and len(result.depth_cpu_ms) > 10
 
 
-def test_one_camera(flown: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.fixture(scope="module")
+def of_one_camera(flown: Any, tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Any]) -> Any:
+    """The result of the command on a flight with one camera."""
+    out = tmp_path_factory.mktemp("one") / "map"
+    words = ("--cameras", "0", "--no-slam", "--cell-m", "0.2", "--json")
+    return run_command(out, "map", flown.folder, "--out", out, *words)
+
+
+@pytest.mark.slow
+def test_the_page_in_a_browser(of_one_camera: Any, browser: Browser) -> None:
+    assert browser.faults((of_one_camera.folder / "report.html").as_uri()) == []
+
+
+def test_one_camera(of_one_camera: Any) -> None:
     """The motion of one camera gives fewer depth images, which show free space and surfaces beside it."""
-    out = tmp_path / "map"
-    words = ["--cameras", "0", "--no-slam", "--cell-m", "0.2", "--json"]
-    assert main(["map", str(flown.folder), "--out", str(out), *words]) == 0
-    summary, grid = json.loads(capsys.readouterr().out), read_occupancy(out / "occupancy.npz")
+    out, summary = of_one_camera.folder, of_one_camera.document
+    grid = read_occupancy(out / "occupancy.npz")
     assert 3 < summary["depth_images"] < summary["frames"] / 4
     assert summary["free_m3"] > 1.0 and summary["occupied_m3"] > 0.1
     assert not np.any(grid.at(read_tum(out / "map.tum").p_world_imu) == OCCUPIED)

@@ -32,6 +32,7 @@ from dronevio.models.recordings.calibration.kalibr import camchain_yaml, imu_yam
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3
 from dronevio.sfm_inputs import read_earlier
+from tests.browser import Browser
 
 Result = Any  # the class of conftest, which cannot be imported
 CommandRunner = Callable[..., Result]
@@ -319,6 +320,17 @@ def test_accuracy_script_ignores_a_similarity(script: Callable[[str], Any]) -> N
     assert accuracy.align(true, turned + np.array([[0.3, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]])).rmse_mm > 10.0
 
 
+SMALL = ("--views.max-side-px", "240", "--depth.levels", "2", "--mesh.min-triangles", "20", "--json")
+"""Words for a dense reconstruction that takes seconds."""
+
+
+@pytest.mark.slow
+def test_the_pages_in_a_browser(reconstructed: Path, tmp_path: Path, browser: Browser) -> None:
+    assert browser.faults((reconstructed / "report.html").as_uri()) == []
+    assert main(["dense", str(reconstructed), "--out", str(tmp_path / "dense"), *SMALL]) == 0
+    assert browser.faults((tmp_path / "dense" / "report.html").as_uri()) == []
+
+
 @pytest.mark.slow
 def test_surfaces_of_the_villa(
     reconstructed: Path,
@@ -338,8 +350,7 @@ def test_surfaces_of_the_villa(
         write_surface_files(folder, form, result, origin)
 
     monkeypatch.setattr("dronevio.exports.write_surface_files", write)
-    small = ["--views.max-side-px", "240", "--depth.levels", "2", "--mesh.min-triangles", "20", "--json"]
-    small += ["--format", "ply", "glb", "obj"]
+    small = (*SMALL, "--format", "ply", "glb", "obj")
     assert main(["dense", str(scene), "--out", str(tmp_path / "dense"), *small]) == 0
     assert origins == {place}
     summary = json.loads(capsys.readouterr().out)

@@ -1,16 +1,11 @@
 """Fixtures of the evaluation tests: an analytic flight, a reconstruction; readers of HTML and rerun files."""
 
-import base64
-import json
-import re
-import shutil
 import subprocess
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import av
 import cv2
@@ -40,8 +35,6 @@ VerifyRrd = Callable[[Path], None]
 """Function that fails if a rerun file is invalid."""
 DecodeAv1 = Callable[[Iterable[bytes]], list[npt.NDArray[np.uint8]]]
 """Function that decodes AV1 temporal units into grey images (H, W)."""
-Browse = Callable[[Path, int, str], Any]
-"""Function that evaluates a JavaScript expression in a page of a given width [px] and returns its JSON value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,32 +316,6 @@ ReadPage = Callable[[str], Page]
 def read_page() -> ReadPage:
     """Return a parser of HTML that fails if the elements are not nested."""
     return Page
-
-
-@pytest.fixture
-def browse(tmp_path: Path) -> Browse:
-    """Return a function that evaluates an expression in a page in a browser; `r` is the root element of the page."""
-    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if browser is None:
-        pytest.skip("no Chromium is installed to open the report")
-
-    def evaluate(page: Path, width: int, expression: str) -> Any:
-        # The page is shown in a frame of that width, because a headless window has a minimum width.
-        wrapper = tmp_path / "wrapper.html"
-        wrapper.write_text(
-            f'<iframe id="f" src="{page.as_uri()}" width="{width}" height="900" style="border:0"></iframe>'
-            "<script>onload = () => { const page = document.getElementById('f').contentDocument;"
-            " const value = ((document, r) => JSON.stringify(" + expression + "))(page, page.documentElement);"
-            " document.body.append(`result ${btoa(unescape(encodeURIComponent(value)))} end`) }</script>"
-        )
-        flags = ["--headless=new", "--no-sandbox", "--disable-gpu", "--allow-file-access-from-files", "--dump-dom"]
-        command = [browser, *flags, f"--user-data-dir={tmp_path}/profile", wrapper.as_uri()]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
-        found = re.search(r"result (\S+) end</body>", done.stdout)
-        assert found, done.stdout[-500:] + done.stderr[-500:]
-        return json.loads(base64.b64decode(found[1]))
-
-    return evaluate
 
 
 @pytest.fixture(scope="session")

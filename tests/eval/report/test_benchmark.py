@@ -28,10 +28,11 @@ from dronevio.eval.report.benchmark.model import (
 from dronevio.eval.report.benchmark.page import benchmark_page
 from dronevio.eval.report.benchmark.tables import as_csv, as_latex, as_markdown, failure_table, measure_table
 from dronevio.models.errors import ConfigError, InputError
+from tests.browser import WIDTHS_PX, Browser
 from tests.rows import changed, row_of
 
 if TYPE_CHECKING:
-    from tests.eval.conftest import Browse, ReadPage
+    from tests.eval.conftest import ReadPage
 ATE, COVERAGE, COST, NEES = map(metric_named, ("ate_m", "coverage_percent", "cpu_ms_mean", "nees_position"))
 BASE = row_of("room-v0", "room", 0, "vio", "a81c", "dronevio 1, numpy 2", "ok", recording_hash="r0", wall_s=30.0)
 SHARES = np.array([0.1, 0.2, 0.3, 0.4, 0.5])
@@ -370,35 +371,30 @@ def test_a_folder_without_results_is_refused(tmp_path: Path) -> None:
         read_benchmark(tmp_path)
 
 
-@pytest.mark.parametrize("width", [420, 1280])
-def test_the_page_fits_the_width_of_the_browser_and_sorts(large_file: Path, browse: "Browse", width: int) -> None:
-    first = "document.querySelector('table.sortable').tBodies[0].rows[0].cells[0].textContent"
-    click = "document.querySelectorAll('table.sortable button')[1].click()"
-    order = "x => Math.min(1e9, Number(x.cells[1].dataset.order))"  # of a failed median, it is infinite
-    keys = f"[...document.querySelector('table.sortable').tBodies[0].rows].map({order})"
-    scroll, client, before, _, ascending, _, descending = browse(
-        large_file, width, f"[r.scrollWidth, r.clientWidth, {first}, {click}, {keys}, {click}, {keys}]"
-    )
-    assert scroll == client <= width
-    assert before == "scenario-0-v0"
+def test_the_page_in_a_browser_is_sorted_by_clicks(large_file: Path, browser: Browser) -> None:
+    assert browser.faults(large_file.as_uri()) == []
+    rows = "[...document.querySelector('table.sortable').tBodies[0].rows]"
+    order = f"{rows}.map(x => Math.min(1e9, Number(x.cells[1].dataset.order)))"  # of a failed median, it is infinite
+    assert browser.evaluate(f"{rows}[0].cells[0].textContent") == "scenario-0-v0"
+    browser.evaluate("document.querySelectorAll('table.sortable button')[1].click()")
+    ascending = browser.evaluate(order)
+    browser.evaluate("document.querySelectorAll('table.sortable button')[1].click()")
     assert len(ascending) == 12
-    assert ascending == sorted(ascending) == descending[::-1]
+    assert ascending == sorted(ascending) == browser.evaluate(order)[::-1]
 
 
-@pytest.mark.parametrize("width", [420, 1280])
 @pytest.mark.slow
-def test_five_estimators_are_shown_without_scrolling(tmp_path: Path, browse: "Browse", width: int) -> None:
+def test_five_estimators_are_shown_without_scrolling(tmp_path: Path, browser: Browser) -> None:
     path = tmp_path / "report.html"
     path.write_text(benchmark_page(SUITE), encoding="utf-8")
-    tables = "[...document.querySelectorAll('details[open] .wide')]"
+    assert browser.faults(path.as_uri()) == []
+    browser.open(path.as_uri())
     cells = "[...document.querySelector('table.sortable').rows[1].cells].map(x => x.getBoundingClientRect().right)"
-    scroll, client, overflows, right, shown = browse(
-        path,
-        width,
-        f"[r.scrollWidth, r.clientWidth, {tables}.map(x => x.scrollWidth - x.clientWidth), {cells},"
-        " document.querySelector('table.sortable').rows[1].innerText]",
-    )
-    assert scroll == client <= width
-    assert overflows == [0, 0, 0]  # of the position error, the drift and the settings
-    assert len(right) == 6 and max(right) <= width
-    assert all(text in shown for text in ("failed", "2 of 2 runs"))
+    for width_px in WIDTHS_PX:
+        browser.show(width_px)
+        overflows = "[...document.querySelectorAll('details[open] .wide')].map(x => x.scrollWidth - x.clientWidth)"
+        assert browser.evaluate(overflows) == [0, 0, 0]  # of the position error, the drift and the settings
+        right = browser.evaluate(cells)
+        assert len(right) == 6 and max(right) <= width_px
+        shown = browser.evaluate("document.querySelector('table.sortable').rows[1].innerText")
+        assert "failed" in shown and "2 of 2 runs" in shown

@@ -11,9 +11,10 @@ from dronevio.eval.provenance import RunInfo
 from dronevio.eval.report.path3d import path_scene, projected
 from dronevio.eval.report.run import write_report
 from dronevio.models.state import Trajectory
+from tests.browser import Browser
 
 if TYPE_CHECKING:
-    from tests.eval.conftest import Browse, SyntheticFlight
+    from tests.eval.conftest import SyntheticFlight
 
 NOTHING = np.zeros((0, 2, 3))
 
@@ -80,27 +81,45 @@ def test_long_paths_are_thinned_and_empty_ones_omitted() -> None:
     assert only_truth is not None and [path.name for path in only_truth.paths if path.name] == ["truth"]
 
 
-def test_keys_rotate_the_picture_and_home_restores_it(
-    flight: "SyntheticFlight", tmp_path: Path, browse: "Browse"
+def test_keys_and_mouse_rotate_the_picture_and_home_restores_it(
+    flight: "SyntheticFlight", tmp_path: Path, browser: Browser
 ) -> None:
     info = RunInfo("flight", "dronevio run", "dronevio view", 0, {})
     write_report(tmp_path, info, flight.recording, flight.run, None, outline=flight.outline)
     html = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert " hidden>Drag or use the arrow keys" in html  # the hint is shown by the script alone
-    shapes = "[...document.querySelectorAll('.spatial path')].map(x => x.getAttribute('d'))"
-    press = "document.querySelector('.spatial').dispatchEvent(new KeyboardEvent('keydown', {key: '%s'}))"
-    found = browse(
-        tmp_path / "report.html",
-        420,
-        f"[{shapes}, {press % 'ArrowRight'}, {shapes}, {press % 'Home'}, {shapes},"
-        " document.querySelector('figcaption [hidden]') === null, r.scrollWidth - r.clientWidth]",
-    )
-    static, _, rotated, _, restored, hint_is_shown, overflow = found
-    assert hint_is_shown and overflow == 0
-    assert all(shape in html for shape in static)
-    assert len(static) == len(rotated) == 6
-    assert all(a != b for a, b in zip(static, rotated, strict=True))
-    z_axis = numbers_of(rotated[3])
-    assert z_axis[0] == z_axis[2] and z_axis[1] > z_axis[3]  # it stays upright
-    for before, after in zip(map(numbers_of, static), map(numbers_of, restored), strict=True):
-        assert after == pytest.approx(before, abs=0.0011)  # rounding of coordinates to millimetres
+    assert browser.faults((tmp_path / "report.html").as_uri()) == []
+    assert browser.evaluate("document.querySelector('figcaption [hidden]') === null")
+
+    def shapes() -> list[str]:
+        found: list[str] = browser.evaluate(
+            "[...document.querySelectorAll('.spatial path')].map(x => x.getAttribute('d'))"
+        )
+        return found
+
+    def assert_rotated(shown: list[str]) -> None:
+        assert all(a != b for a, b in zip(static, shown, strict=True))
+        z_axis = numbers_of(shown[3])
+        assert z_axis[0] == z_axis[2] and z_axis[1] > z_axis[3]  # it stays upright
+
+    def restored() -> bool:
+        browser.press("Home")
+        pairs = zip(map(numbers_of, static), map(numbers_of, shapes()), strict=True)
+        return all(after == pytest.approx(before, abs=0.0011) for before, after in pairs)  # rounded to millimetres
+
+    static = shapes()
+    assert len(static) == 6 and all(shape in html for shape in static)
+    browser.evaluate("document.querySelector('.spatial').focus()")
+    for key in ("ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown"):
+        browser.press(key)
+        assert_rotated(shapes())
+        assert restored()
+    browser.press("ArrowRight")  # by 5°; 0.5° a pixel
+    by_key = shapes()
+    browser.press("Home")
+    browser.drag(".spatial", (-10, 0))
+    assert_rotated(shapes())
+    assert shapes() == by_key
+    assert restored()
+    browser.drag(".spatial", (0, 40))
+    assert_rotated(shapes())
