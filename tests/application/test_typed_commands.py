@@ -16,12 +16,13 @@ import gtsam
 import pytest
 
 CHECKOUT = Path(__file__).resolve().parents[2]
+HOW_TO = CHECKOUT / "docs" / "how-to"
 
 pytestmark = pytest.mark.skipif(not (CHECKOUT / "docs").is_dir(), reason="not a checkout")
 
 PAGES = {
     path.relative_to(CHECKOUT).as_posix(): path.read_text(encoding="utf-8")
-    for path in (CHECKOUT / "README.md", *sorted((CHECKOUT / "docs").rglob("*.md")))
+    for path in (CHECKOUT / "README.md", *sorted((CHECKOUT / "docs").glob("*.md")), *sorted(HOW_TO.glob("*.md")))
 }
 QUICK = ("docs/how-to/own-recording.md", "docs/how-to/rerun.md")
 """Pages whose commands take some seconds; those of all others are run by slow tests."""
@@ -222,13 +223,14 @@ def prepared(page: str, folder: Path, inputs: Callable[[str], Path]) -> None:
         shutil.copytree(source, folder / name) if source.is_dir() else shutil.copy(source, folder / name)
 
 
-@pytest.mark.parametrize("page", [pytest.param(p, marks=() if p in QUICK else pytest.mark.slow) for p in PAGES])
+@pytest.mark.parametrize(
+    "page", [pytest.param(p, marks=() if p in QUICK else pytest.mark.slow) for p in PAGES if lines_of(p)]
+)
 def test_commands_of_a_page_run(
     page: str, tmp_path: Path, inputs: Callable[[str], Path], shell_in: Callable[[Path], Shell]
 ) -> None:
     lines = [shortened(line) for line in lines_of(page) if reason_not_to_run(line) is None]
-    if lines:
-        prepared(page, tmp_path, inputs)
+    prepared(page, tmp_path, inputs)
     shell = shell_in(tmp_path)
     for line in lines:
         for pattern, before in BEFORE.items():
