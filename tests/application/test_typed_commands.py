@@ -25,7 +25,12 @@ PAGES = {
     for path in (CHECKOUT / "README.md", *sorted((CHECKOUT / "docs").glob("*.md")), *sorted(HOW_TO.glob("*.md")))
 }
 QUICK = ("docs/how-to/own-recording.md", "docs/how-to/rerun.md")
-"""Pages whose commands take some seconds; those of all others are run by slow tests."""
+"""Pages whose commands take some seconds; those of `SLOW` are run by slow tests."""
+SLOW = (
+    *("README.md", "docs/dense.md", "docs/getting-started.md"),
+    *(f"docs/how-to/{name}.md" for name in ("inspect", "other-programs", "own-metric", "own-scenario", "own-vehicle")),
+)
+"""Pages whose commands take a minute or two. Those of other pages take longer, and are parsed only."""
 
 NOT_RUN = {
     "make *": "tests of the checkout run its targets",
@@ -224,7 +229,7 @@ def prepared(page: str, folder: Path, inputs: Callable[[str], Path]) -> None:
 
 
 @pytest.mark.parametrize(
-    "page", [pytest.param(p, marks=() if p in QUICK else pytest.mark.slow) for p in PAGES if lines_of(p)]
+    "page", [*QUICK, *(pytest.param(page, marks=(pytest.mark.slow, pytest.mark.timeout(900))) for page in SLOW)]
 )
 def test_commands_of_a_page_run(
     page: str, tmp_path: Path, inputs: Callable[[str], Path], shell_in: Callable[[Path], Shell]
