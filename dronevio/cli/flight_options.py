@@ -94,7 +94,7 @@ class FlightOptions(Settings):
     """The scenario to simulate."""
 
     scenario: str = DEFAULT_SCENARIO
-    """Name of the scenario; `dronevio scenarios` lists them. One of your own is python:package.module:NAME."""
+    """Name of the scenario, which `dronevio scenarios` lists, or python:package.module:NAME."""
     seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the world, the route and the errors of the sensors."""
     world_seed: Annotated[int | None, Range(0, 2**32 - 1)] = None
