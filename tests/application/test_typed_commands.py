@@ -85,6 +85,7 @@ INPUTS = {
     "README.md": ("MH_01_easy",),
     "docs/how-to/inspect.md": ("MH_01_easy", "flight.mcap", "camchain.yaml", "imu.yaml", "recordings/room-v0-0"),
     "docs/how-to/other-programs.md": ("photographs",),
+    "docs/how-to/own-metric.md": ("MH_01_easy", "estimate.tum"),
     "docs/how-to/own-estimator.md": ("V1_01_easy", "V1_02_medium"),
     "docs/how-to/own-recording.md": (
         *("MH_01_easy", "dataset-room1_512_16", "tumvi_512_calib.json", "MH_01_easy.bag"),
