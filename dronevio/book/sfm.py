@@ -81,7 +81,7 @@ def main(arguments: Sequence[str]) -> int:
         return 0
     _print_lesson(experiment)
     print(f"plot:     {command.out}/cloud.png")
-    print(f"page:     {command_line('view', command.out / 'sfm.html')}")
+    print(f"open it:  {command_line('view', command.out / 'sfm.html')}")
     print(f"rerun:    {command_line('view', command.out / 'cloud.rrd')}")
     return 0
 
