@@ -257,8 +257,8 @@ def test_results_are_replaced_on_demand_only(tmp_path: Path) -> None:
     check_places(replace(command, slam=False))  # writes no e_map.tum
     with pytest.raises(InputError, match=r"room\.map"):
         check_places(replace(command, out=tmp_path / "new.tum", save_map=tmp_path / "room.map"))
-    same = {"saved_map": tmp_path / "room.map", "save_map": tmp_path / "room.map"}
-    check_places(replace(command, out=tmp_path / "new.tum", **same))  # the map that the flight continues
+    continued = replace(command, out=tmp_path / "new.tum", saved_map=tmp_path / "room.map")
+    check_places(replace(continued, save_map=tmp_path / "room.map"))
 
 
 def test_read_only_folder_is_noticed_before_the_estimation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -215,14 +215,15 @@ def test_plot_of_a_scored_trajectory_shows_its_errors(truth: dv.Trajectory, run:
     seconds_and_errors = lines_of(position)["aligned"]
     np.testing.assert_allclose(seconds_and_errors[:, 0], 0.1 * np.arange(32), atol=1e-9)
     np.testing.assert_allclose(seconds_and_errors[:, 1], 0.02)
-    assert figure._repr_png_().startswith(b"\x89PNG")
+    picture: Any = figure
+    assert picture._repr_png_().startswith(b"\x89PNG")
 
 
 def test_what_cannot_be_drawn_is_refused(truth: dv.Trajectory) -> None:
-    with pytest.raises(ConfigError, match=r"plot\(\) of str; expected a trajectory"):
-        dv.plot("estimate.tum")
-    with pytest.raises(ConfigError, match=r"plot\(\) of dict of int, str; expected"):
-        dv.plot({"a": 1, "b": "c"})
+    wrong: Any
+    for wrong, kind in (("estimate.tum", "str"), ({"a": 1, "b": "c"}, "dict of int, str")):
+        with pytest.raises(ConfigError, match=rf"plot\(\) of {kind}; expected a trajectory"):
+            dv.plot(wrong)
     with pytest.raises(ConfigError, match="of no trajectory"):
         dv.plot({})
     with pytest.raises(EvaluationError, match=r"plot\(\) of b without poses"):
@@ -239,7 +240,7 @@ def example(recording: Path) -> str:
         pytest.skip("not a checkout")
     [code] = re.findall(r"^```py\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     assert code.count('"MH_01_easy"') == 2
-    return code.replace('"MH_01_easy"', repr(str(recording)))
+    return str(code).replace('"MH_01_easy"', repr(str(recording)))
 
 
 def test_the_documented_example_runs(flown: Any) -> None:
