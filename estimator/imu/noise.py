@@ -25,9 +25,6 @@ from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples
 from dronevio.models.ranges import Range, Settings
 
-MIN_INITIAL_DENSITIES = 3e-4, 1e-2
-"""Smallest initial densities of gyroscope [rad/s/√Hz] and accelerometer [m/s²/√Hz]: the vibration of an airframe is in
-no data sheet. Images replace them after the first intervals."""
 NOISY_RATIO = 1.3
 """Ratio of the noise at rest to the data sheet beyond which the random walks are larger, too. The noise of 0.8 s at 20
 frames per second is known to a tenth (one standard deviation)."""
@@ -168,17 +165,17 @@ def pooled_density(components: Sequence[VarianceComponent]) -> float:
 class NoiseDensityEstimator:
     """Estimates the white noise density of one sensor."""
 
-    def __init__(self, data_sheet: float, initial: float, config: NoiseEstimationConfig) -> None:
+    def __init__(self, data_sheet: float, inflation: float, config: NoiseEstimationConfig) -> None:
         """Create an estimator.
 
         Args:
             data_sheet: Noise density of the data sheet.
-            initial: Initial noise density.
+            inflation: Ratio of the initial noise density to that of the data sheet.
             config: Settings.
         """
-        self._data_sheet, self._config, self._largest = data_sheet, config, max(config.max_factor * data_sheet, initial)
+        self._data_sheet, self._config, self._largest = data_sheet, config, config.max_factor * data_sheet
         # Sums over intervals with exponential forgetting: squared residuals in units of squared density, redundancy
-        self._squares = initial**2 * config.prior_weight
+        self._squares = (inflation * data_sheet) ** 2 * config.prior_weight
         self._redundancy = config.prior_weight
 
     @property
@@ -217,7 +214,7 @@ class ImuNoiseEstimator:
         config: NoiseEstimationConfig,
         gravity_m_s2: float = GRAVITY_M_S2,
     ) -> None:
-        """Create an estimator whose initial noise densities are those of the data sheet, inflated, or the smallest.
+        """Create an estimator whose initial noise densities are those of the data sheet, inflated.
 
         Args:
             imu: Data sheet of the IMU.
@@ -225,12 +222,9 @@ class ImuNoiseEstimator:
             config: Settings of the estimation.
             gravity_m_s2: Magnitude of gravity [m/s²].
         """
-        of_data_sheet = PreintegrationParams.of(imu, inertial, gravity_m_s2)
-        inflated = np.sqrt([of_data_sheet.gyro_variance, of_data_sheet.accel_variance])
-        gyro, accel = np.maximum(inflated, MIN_INITIAL_DENSITIES).tolist()
-        self._gyro = NoiseDensityEstimator(imu.gyro_noise_density, gyro, config)
-        self._accel = NoiseDensityEstimator(imu.accel_noise_density, accel, config)
-        self._initial = self._params = of_data_sheet.with_noise(gyro, accel)
+        self._gyro = NoiseDensityEstimator(imu.gyro_noise_density, inertial.gyro_noise_inflation, config)
+        self._accel = NoiseDensityEstimator(imu.accel_noise_density, inertial.accel_noise_inflation, config)
+        self._initial = self._params = PreintegrationParams.of(imu, inertial, gravity_m_s2)
         self._data_sheet = imu.gyro_noise_density, imu.accel_noise_density
         self._at_rest, self._floor = (0.0, 0.0), SpectralFloor()
         self._highest_floor, self._interval_s = np.zeros(2), 1.0 / imu.rate_hz
