@@ -171,7 +171,8 @@ def test_a_saved_map_is_continued(
     words: tuple[object, ...] = "--slam", "--map.no-worker", "--json"
     first = run_command(tmp_path, "estimate", recording, *words, "--save-map", saved, "--out", tmp_path / "first.tum")
     graph = tmp_path / "room.g2o"
-    run_command(tmp_path, "estimate", recording, *words, "--save-g2o", graph, "--out", tmp_path / "first.tum")
+    into_first = "--out", tmp_path / "first.tum", "--overwrite"
+    run_command(tmp_path, "estimate", recording, *words, "--save-g2o", graph, *into_first)
     assert graph.read_text(encoding="utf-8").count("VERTEX") == first.document["map"]["keyframes"]
     assert first.document["saved_map"] == str(saved) and first.document["map"]["separate_tracks"] == 0
     before = saved.read_bytes()
@@ -188,7 +189,8 @@ def test_a_saved_map_is_continued(
 
     monkeypatch.setattr("dronevio.estimator.slam.places.recognizer.PlaceRecognizer.add", lambda *_: ())
     monkeypatch.setattr("dronevio.estimator.slam.places.recognizer.PlaceRecognizer.locate", lambda *_: None)
-    apart = run_command(tmp_path, "estimate", recording, "--slam", "--map.no-worker", "--map", saved, "--out", out)
+    words = "--slam", "--map.no-worker", "--map", saved, "--out", out, "--overwrite"
+    apart = run_command(tmp_path, "estimate", recording, *words)
     assert re.search(r"first pose in the loaded map after +never", apart.out)
     assert len(out.read_text().splitlines()) > 50
     assert all(line.startswith("#") for line in (tmp_path / "second_map.tum").read_text().splitlines())
@@ -315,7 +317,7 @@ def test_poses_at_imu_rate_are_as_accurate_as_at_frames(
     scores = [run_command(tmp_path, "evaluate", recording, path, "--json").document["ate_m"]["rmse"] for path in files]
     assert scores[1] < 1.2 * scores[0]
     document = run_command(
-        tmp_path, "estimate", recording, "--out", files[0], "--imu-rate", files[1], "--json"
+        tmp_path, "estimate", recording, "--out", files[0], "--imu-rate", files[1], "--json", "--overwrite"
     ).document
     assert document["imu_rate"] == str(files[1]) and document["imu_rate_poses"] == len(samples)
     assert sum(document["health"].values()) == document["frames"] and document["health"]["tracking"] > 80
