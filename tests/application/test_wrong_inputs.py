@@ -39,7 +39,7 @@ def test_a_wrong_calibration_is_a_warning(flown: Result, run_command: CommandRun
     warnings = result.document["warnings"]
     assert warnings and warnings[0]["text"].startswith("lost: ") and warnings[0]["t_s"] > 0.0
     assert f"warning: {warnings[0]['t_s']:.2f} s after the first frame: {warnings[0]['text']}" in result.err
-    good = run_command(tmp_path, "estimate", flown.folder, "--out", tmp_path / "e.tum", "--json")
+    good = run_command(tmp_path, "estimate", flown.folder, "--out", tmp_path / "good.tum", "--json")
     assert good.document["warnings"] == [] and good.err == ""
     assert 0.1 < good.document["innovations"]["median_nis"] < 5.0
     assert 0.0 < good.document["innovations"]["median_px"] < good.document["innovations"]["p95_px"] < 1.0
