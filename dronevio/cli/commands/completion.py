@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
-from unittest.mock import patch
 
 import tyro
 
@@ -77,12 +76,16 @@ def help_text(words: Sequence[str], option: str = "--help") -> str:
     """Return what a command prints with ``--help`` or ``--help-all``, without colours."""
     from dronevio.cli import main
 
-    printed = io.BytesIO()
-    terminal = {"COLUMNS": f"{HELP_COLUMNS}", "NO_COLOR": "1", "TERM": "dumb"}
-    with patch.dict(os.environ, terminal), io.TextIOWrapper(printed, encoding="utf-8", write_through=True) as stream:
-        with contextlib.redirect_stdout(stream), contextlib.suppress(SystemExit):
-            main([*words, option])
-        return printed.getvalue().decode()
+    printed, environment = io.BytesIO(), dict(os.environ)
+    os.environ |= {"COLUMNS": f"{HELP_COLUMNS}", "NO_COLOR": "1", "TERM": "dumb"}
+    try:
+        with io.TextIOWrapper(printed, encoding="utf-8", write_through=True) as stream:
+            with contextlib.redirect_stdout(stream), contextlib.suppress(SystemExit):
+                main([*words, option])
+            return printed.getvalue().decode()
+    finally:
+        os.environ.clear()
+        os.environ.update(environment)
 
 
 def _of_command(words: tuple[str, ...]) -> Completions:
