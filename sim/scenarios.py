@@ -314,10 +314,10 @@ def _known(name: str) -> Scenario:
 
 
 def _own(name: str) -> Scenario:
-    """Return a scenario of a module, whose own name is a part of the names of files.
+    """Return a scenario of a module. Its own name becomes a part of file names.
 
     Raises:
-        ConfigError: There is none, or its name is none for files.
+        ConfigError: There is none, or its name cannot be a part of a file name.
     """
     found = PythonScenario.parse(name).instance_of(Scenario)
     if not re.fullmatch(r"\w[\w.-]*", found.name):
