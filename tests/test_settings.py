@@ -163,4 +163,4 @@ def test_help_shows_the_range(capsys: pytest.CaptureFixture[str], monkeypatch: p
         main(["estimate", "--help-all"])
     shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert "Number of keyframes in the window. Allowed: 3 to 40. When to change it: accuracy counts" in shown
-    assert "(decrease it). (default: 9)" in shown
+    assert "(decrease). (default: 9)" in shown
