@@ -67,9 +67,8 @@ class VisualInertialOdometry:
             ConfigError: A sample is not finite, or not later than the last one.
         """
         check_imu(samples)
-        used = self._parts.pipeline.add_imu(samples)
-        self._parts.noise.add_imu(used)
-        self._parts.imu_rate.push(used)
+        self._parts.samples.add(samples)
+        self._parts.imu_rate.push(self._parts.outliers.add(samples))
 
     @single_threaded()
     def add_frame(self, frame: CameraFrame) -> Estimate:
@@ -81,6 +80,10 @@ class VisualInertialOdometry:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
         """
         parts = self._parts
+        # IMU samples up to the end of the exposure
+        samples = parts.samples.take(frame)
+        if samples is not None:
+            parts.noise.add_imu(parts.pipeline.add_imu(samples))
         # Estimates of the frames up to whose exposure the IMU samples have come
         events = tuple(event for due in parts.queue.add(frame) for event in self._process(due).events)
         # The newest of them at the time stamp of the frame, by the clock of the cameras

@@ -8,11 +8,12 @@ from dronevio.estimator.backend.smoother import KeyframeSmoother
 from dronevio.estimator.calibration.calibrator import Calibrator
 from dronevio.estimator.calibration.uncertainty import Origin
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.frame_queue import FrameQueue
+from dronevio.estimator.frame_queue import FrameQueue, SampleQueue
 from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
 from dronevio.estimator.imu.noise import ImuNoiseEstimator
+from dronevio.estimator.imu.outliers import OutlierFilter
 from dronevio.estimator.initialization.gauge import Gauge, WorldOrigin
 from dronevio.estimator.initialization.initializer import Initializer
 from dronevio.estimator.keyframe_observer import KeyframeObserver
@@ -35,6 +36,10 @@ class OdometryParts:
     """Settings."""
     queue: FrameQueue
     """Frames that wait for the IMU samples of their exposure."""
+    samples: SampleQueue
+    """IMU samples that wait for a frame."""
+    outliers: OutlierFilter
+    """Leaves out outlying samples of the output at the rate of the IMU, which does not wait."""
     pipeline: MeasurementPipeline
     """Makes packets of the measurements."""
     calibrator: Calibrator
@@ -58,6 +63,8 @@ class OdometryParts:
             rig,
             config,
             FrameQueue(),
+            SampleQueue(rig),
+            OutlierFilter(rig.imu),
             MeasurementPipeline(rig, config, front_end or RigTracker(rig, c.tracker)),
             Calibrator(rig, c.calibration, c.gravity_m_s2),
             ImuNoiseEstimator(rig.imu, c.preintegration, c.noise, c.gravity_m_s2),

@@ -101,7 +101,7 @@ def measurements(recording: Recording) -> Iterator[ImuSamples | CameraFrame]:
     for index in range(len(recording.frame_times_ns)):
         frame = recording.frame(index)
         end_ns = frame.t_ns + exposure_delay_ns(recording.rig, frame.image_delays_ns)
-        end = _received_count(imu.t_ns, end_ns, recording.rig.imu.rate_hz)
+        end = received_count(imu.t_ns, end_ns, recording.rig.imu.rate_hz)
         if end > start:
             yield imu[start:end]
             start = end
@@ -110,8 +110,14 @@ def measurements(recording: Recording) -> Iterator[ImuSamples | CameraFrame]:
         yield imu[start:]
 
 
-def _received_count(imu_t_ns: Times, t_ns: int, rate_hz: float) -> int:
-    """Return the number of IMU samples (N,) that a frame follows whose exposure ends at a time [ns]."""
+def received_count(imu_t_ns: Times, t_ns: int, rate_hz: float) -> int:
+    """Return the number of IMU samples that a frame follows; see `measurements`.
+
+    Args:
+        imu_t_ns: (N,) Their time stamps [ns].
+        t_ns: End of the exposure of the frame on the clock of the IMU [ns].
+        rate_hz: Nominal rate of the IMU [Hz].
+    """
     count = int(np.searchsorted(imu_t_ns, t_ns, side="left"))
     recent_ns = np.diff(imu_t_ns[max(count - RECENT_SAMPLES, 0) : count])
     interval_ns = max(1e9 / rate_hz, float(np.median(recent_ns)) if len(recent_ns) else 0.0)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import MAX_WAIT_INTERVALS, exposure_delay_ns
 from dronevio.models.rig import Rig
@@ -49,6 +50,14 @@ def altered_from(imu: ImuSamples, t_ns: int) -> ImuSamples:
     return ImuSamples(imu.t_ns, imu.gyro_rad_s + 0.5 * late, imu.accel_m_s2 - 3.0 * late, imu.sampling)
 
 
+def shaken_from(imu: ImuSamples, t_ns: int) -> ImuSamples:
+    """Return the samples with strong vibration from a time on, and with a gyroscope that saturates at 0.6 rad/s."""
+    rng, late = np.random.default_rng(0), (imu.t_ns >= t_ns)[:, None]
+    gyro = imu.gyro_rad_s + late * rng.normal(0.0, 0.2, imu.gyro_rad_s.shape)
+    accel = imu.accel_m_s2 + late * rng.normal(0.0, 4.0, imu.accel_m_s2.shape)
+    return ImuSamples(imu.t_ns, gyro.clip(-0.6, 0.6), accel, imu.sampling)
+
+
 def rig_with(rig: Rig, time_offset_s: float, readout_s: float) -> Rig:
     """Return a rig with a time offset and a rolling shutter."""
     cameras = tuple(replace(camera, readout_s=readout_s) for camera in rig.cameras)
@@ -87,6 +96,29 @@ def test_samples_after_a_gap_change_no_earlier_pose(
         p for p, early in zip(poses(others), before, strict=True) if early
     ]
     assert poses(estimates)[-1] != poses(others)[-1]
+
+
+def run_ahead(flight: "SyntheticFlight", ahead_ns: int) -> list[Estimate]:
+    """Return the estimates where each frame comes late, so that later samples of some time are already there."""
+    vio, imu, sent = VisualInertialOdometry(flight.rig, front_end=flight.front_end()), flight.imu, 0
+    estimates = []
+    for index, t_ns in enumerate(flight.frame_times_ns):
+        end = int(np.searchsorted(imu.t_ns, t_ns + ahead_ns, side="right"))
+        vio.add_imu(imu[sent:end])
+        sent = end
+        estimates.append(vio.add_frame(flight.frame(index)))
+    return estimates
+
+
+@pytest.mark.parametrize("ahead_s", [0.03, 0.5, 100.0])
+def test_the_latency_of_frames_changes_no_estimate(make_flight: MakeFlight, ahead_s: float) -> None:
+    """A live system has samples later than the frame, a replay none: vibration and saturation begin with the frame."""
+    flight = make_flight(seed=3, rest_s=0.9, duration_s=4.0)
+    flight = with_imu(flight, shaken_from(flight.imu, int(flight.frame_times_ns[0]) + 2_500_000_000))
+    replayed, live = flight.run(), run_ahead(flight, round(ahead_s * 1e9))
+    assert poses(live) == poses(replayed)
+    assert [estimate.events for estimate in live] == [estimate.events for estimate in replayed]
+    assert replayed[-1].state is not None
 
 
 def test_a_gap_at_the_end_is_bridged_by_the_last_sample(make_flight: MakeFlight) -> None:
