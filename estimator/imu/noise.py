@@ -165,17 +165,17 @@ def pooled_density(components: Sequence[VarianceComponent]) -> float:
 class NoiseDensityEstimator:
     """Estimates the white noise density of one sensor."""
 
-    def __init__(self, data_sheet: float, inflation: float, config: NoiseEstimationConfig) -> None:
+    def __init__(self, data_sheet: float, initial: float, config: NoiseEstimationConfig) -> None:
         """Create an estimator.
 
         Args:
             data_sheet: Noise density of the data sheet.
-            inflation: Ratio of the initial noise density to that of the data sheet.
+            initial: Initial noise density.
             config: Settings.
         """
-        self._data_sheet, self._config, self._largest = data_sheet, config, config.max_factor * data_sheet
+        self._data_sheet, self._config, self._largest = data_sheet, config, max(config.max_factor * data_sheet, initial)
         # Sums over intervals with exponential forgetting: squared residuals in units of squared density, redundancy
-        self._squares = (inflation * data_sheet) ** 2 * config.prior_weight
+        self._squares = initial**2 * config.prior_weight
         self._redundancy = config.prior_weight
 
     @property
@@ -214,7 +214,7 @@ class ImuNoiseEstimator:
         config: NoiseEstimationConfig,
         gravity_m_s2: float = GRAVITY_M_S2,
     ) -> None:
-        """Create an estimator whose initial noise densities are those of the data sheet, inflated.
+        """Create an estimator whose initial noise densities are those of the data sheet, inflated, or the smallest.
 
         Args:
             imu: Data sheet of the IMU.
@@ -222,9 +222,13 @@ class ImuNoiseEstimator:
             config: Settings of the estimation.
             gravity_m_s2: Magnitude of gravity [m/s²].
         """
-        self._gyro = NoiseDensityEstimator(imu.gyro_noise_density, inertial.gyro_noise_inflation, config)
-        self._accel = NoiseDensityEstimator(imu.accel_noise_density, inertial.accel_noise_inflation, config)
-        self._initial = self._params = PreintegrationParams.of(imu, inertial, gravity_m_s2)
+        of_data_sheet = PreintegrationParams.of(imu, inertial, gravity_m_s2)
+        inflated = np.sqrt([of_data_sheet.gyro_variance, of_data_sheet.accel_variance])
+        smallest = inertial.min_gyro_noise_density, inertial.min_accel_noise_density
+        gyro, accel = np.maximum(inflated, smallest).tolist()
+        self._gyro = NoiseDensityEstimator(imu.gyro_noise_density, gyro, config)
+        self._accel = NoiseDensityEstimator(imu.accel_noise_density, accel, config)
+        self._initial = self._params = of_data_sheet.with_noise(gyro, accel)
         self._data_sheet = imu.gyro_noise_density, imu.accel_noise_density
         self._at_rest, self._floor = (0.0, 0.0), SpectralFloor()
         self._highest_floor, self._interval_s = np.zeros(2), 1.0 / imu.rate_hz

@@ -24,6 +24,11 @@ class PreintegrationConfig(Settings):
     accel_noise_inflation: Annotated[float, Range(0.01, 1e3)] = 5.0
     """Factor on the data sheet's white noise of the accelerometer, until the noise is estimated in flight. It is larger
     than the gyroscope's because the accelerometer senses the vibration of the airframe."""
+    min_gyro_noise_density: Annotated[float, Range(0.0, 1.0)] = 3e-4
+    """Smallest white noise of the gyroscope until it is estimated in flight [rad/s/√Hz]: that of the airframe, which is
+    in no data sheet."""
+    min_accel_noise_density: Annotated[float, Range(0.0, 10.0)] = 1e-2
+    """Smallest white noise of the accelerometer until it is estimated in flight [m/s²/√Hz], for the same reason."""
     walk_inflation: Annotated[float, Range(0.0, 1e3)] = 1.0
     """Factor on the data sheet's random walks of both biases."""
     min_gyro_random_walk: Annotated[float, Range(0.0, 1.0)] = 1e-5

@@ -48,10 +48,12 @@ PIXEL_NOISE = 0.2
 
 def matched_noise(c: VioConfig) -> VioConfig:
     """Return some settings with the noise of the simulation and nearly quadratic losses instead."""
+    exact = {"gyro_noise_inflation": 1.0, "accel_noise_inflation": 1.0}
+    exact |= {"min_gyro_noise_density": 0.0, "min_accel_noise_density": 0.0}
     return replace(
         c,
         smoother=replace(c.smoother, pixel_sigma=PIXEL_NOISE, robust_sigmas=30.0),
-        preintegration=replace(c.preintegration, gyro_noise_inflation=1.0, accel_noise_inflation=1.0),
+        preintegration=replace(c.preintegration, **exact),
         noise=replace(c.noise, prior_weight=1e9),
     )
 

@@ -42,7 +42,8 @@ def estimated(true_factor: float, initial_factor: float, reference_sigma: float,
         reference_sigma: Standard deviation of the reference relative to that of the IMU by the data sheet.
         intervals: Number of intervals.
     """
-    rng, estimator = np.random.default_rng(0), NoiseDensityEstimator(DENSITY, initial_factor, NoiseEstimationConfig())
+    rng = np.random.default_rng(0)
+    estimator = NoiseDensityEstimator(DENSITY, initial_factor * DENSITY, NoiseEstimationConfig())
     unit, found, eye = DENSITY * np.sqrt(DT_S), [], np.eye(9)
     for _ in range(intervals):
         imu = rng.normal(0.0, true_factor * unit, 9)
@@ -85,14 +86,14 @@ def test_components_of_a_residual_worked_out_by_hand() -> None:
 
 
 def test_excess_noise_and_zero_redundancy_are_ignored() -> None:
-    estimator = NoiseDensityEstimator(DENSITY, 5.0, NoiseEstimationConfig())
+    estimator = NoiseDensityEstimator(DENSITY, 5.0 * DENSITY, NoiseEstimationConfig())
     estimator.update(VarianceComponent(normalized_square=1e-6, redundancy=1.0, assumed_density2=(100.0 * DENSITY) ** 2))
     estimator.update(VarianceComponent(normalized_square=0.0, redundancy=0.0, assumed_density2=(5.0 * DENSITY) ** 2))
     assert estimator.density == pytest.approx(5.0 * DENSITY)
 
 
 def test_a_shock_hardly_changes_the_estimate() -> None:
-    estimator = NoiseDensityEstimator(DENSITY, 1.0, NoiseEstimationConfig())
+    estimator = NoiseDensityEstimator(DENSITY, DENSITY, NoiseEstimationConfig())
     for _ in range(100):
         estimator.update(VarianceComponent(normalized_square=1.0, redundancy=1.0, assumed_density2=DENSITY**2))
     estimator.update(VarianceComponent(normalized_square=1e6, redundancy=1.0, assumed_density2=DENSITY**2))
@@ -101,10 +102,26 @@ def test_a_shock_hardly_changes_the_estimate() -> None:
 
 @pytest.mark.parametrize(("square", "factor"), [(1e9, 30.0), (0.0, 0.5)])
 def test_density_stays_in_its_range(square: float, factor: float) -> None:
-    estimator = NoiseDensityEstimator(DENSITY, 1.0, NoiseEstimationConfig(min_factor=0.5, max_factor=30.0))
+    estimator = NoiseDensityEstimator(DENSITY, DENSITY, NoiseEstimationConfig(min_factor=0.5, max_factor=30.0))
     for _ in range(2000):
         estimator.update(VarianceComponent(square, redundancy=1.0, assumed_density2=estimator.density**2))
     assert estimator.density == factor * DENSITY
+
+
+@pytest.mark.parametrize(("factor", "expected"), [(0.1, (3e-4, 1e-2)), (0.0, (3e-4, 1e-2)), (10.0, None)])
+def test_initial_noise_of_a_good_data_sheet_is_that_of_an_airframe(
+    factor: float, expected: tuple[float, float] | None
+) -> None:
+    """No data sheet knows the vibration. The first intervals replace the initial noise."""
+    sheet = factor * EUROC_IMU.gyro_noise_density, factor * EUROC_IMU.accel_noise_density
+    imu, config = replace(EUROC_IMU, gyro_noise_density=sheet[0], accel_noise_density=sheet[1]), PreintegrationConfig()
+    noise = ImuNoiseEstimator(imu, config, NoiseEstimationConfig())
+    inflated = config.gyro_noise_inflation * sheet[0], config.accel_noise_inflation * sheet[1]
+    assert noise.densities == pytest.approx(expected or inflated)
+    assert noise.params.gyro_variance == pytest.approx(noise.densities[0] ** 2)
+    for _ in range(100):
+        noise.update(ImuVarianceComponents(*(VarianceComponent(1.0, 1.0, (0.7 * d) ** 2) for d in noise.densities)))
+    assert all(now < 0.8 * (first or 1.0) for now, first in zip(noise.densities, expected or inflated, strict=True))
 
 
 def test_preintegration_parameters_follow_the_estimate() -> None:
