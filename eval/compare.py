@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dronevio.eval.benchmark.metrics import METRICS
-from dronevio.eval.benchmark.rows import Identity, Row, run_name
+from dronevio.eval.benchmark.rows import Identity, Row, own_metrics, run_name
 from dronevio.eval.benchmark.summary import known_values
 from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError, EvaluationError
@@ -34,8 +34,9 @@ from dronevio.models.errors import ConfigError, EvaluationError
 Pair = tuple[Row, Row]
 """Runs of the first and the second benchmark with the same scenario, seed and estimator."""
 
-COMPARABLE = tuple(metric.name for metric in METRICS.values() if metric.best in ("low", "any"))
-"""Metrics that are errors or costs: smaller is better, and zero is perfect."""
+_BEST = ("low", "any")  # of errors and costs: smaller is better, and zero is perfect
+COMPARABLE = tuple(metric.name for metric in METRICS.values() if metric.best in _BEST)
+"""Metrics that are errors or costs, beside those of the user."""
 DEFAULT_METRICS = ("ate_m", "rpe_m")
 """Metrics that are compared by default."""
 _RESAMPLES = 10_000
@@ -167,16 +168,18 @@ def compare(pairs: Sequence[Pair], metrics: Sequence[str] = DEFAULT_METRICS, see
 
     Args:
         pairs: Pairs of runs.
-        metrics: Names out of `COMPARABLE`.
+        metrics: Names out of `COMPARABLE`, or of metrics of the user.
         seed: Seed of the bootstrap.
 
     Raises:
         ConfigError: A metric does not exist.
         EvaluationError: No run of an estimator has a value of a metric.
     """
-    unknown = [metric for metric in metrics if metric not in COMPARABLE]
+    own = own_metrics(row for pair in pairs for row in pair)
+    known = (*COMPARABLE, *(metric.name for metric in own if metric.best in _BEST))
+    unknown = [metric for metric in metrics if metric not in known]
     if unknown or not metrics:
-        raise ConfigError(f"metrics {', '.join(unknown) or 'none'}; expected some of {', '.join(COMPARABLE)}")
+        raise ConfigError(f"metrics {', '.join(unknown) or 'none'}; expected some of {', '.join(known)}")
     groups: dict[str, list[Pair]] = {}
     for a, b in pairs:
         name = a.estimator if a.estimator == b.estimator else f"{b.estimator} against {a.estimator}"

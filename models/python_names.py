@@ -4,6 +4,7 @@ The module is imported from the installed packages or, if it is not there, from 
 """
 
 import importlib
+import importlib.util
 import re
 import sys
 from dataclasses import dataclass
@@ -79,6 +80,21 @@ class PythonName:
         problem = "no such name" if found is None else f"an object of type {type(found).__name__}"
         public = ".".join(kind.__module__.split(".")[:2])
         raise ConfigError(f"{self.what} {self}: {problem}; expected an instance of {public}.{kind.__name__}")
+
+    def sources(self) -> tuple[Path, ...]:
+        """Return the folders of the module's package, or the file of the module if it is in none.
+
+        Raises:
+            ConfigError: There is no such module.
+        """
+        top = self.module.partition(".")[0]
+        search_here()
+        spec = importlib.util.find_spec(top)
+        if spec is None:
+            raise ConfigError(f"{self.what} {self}: no module {top}; expected one that is installed or in {Path.cwd()}")
+        if spec.submodule_search_locations:
+            return tuple(map(Path, spec.submodule_search_locations))
+        return (Path(spec.origin),) if spec.origin and Path(spec.origin).is_file() else ()
 
     def __str__(self) -> str:
         """Return the text that names the object."""

@@ -26,4 +26,4 @@ def changed(row: Row, **columns: Any) -> Row:
     """Return a row with other values in some columns, which must exist."""
     before = row.columns
     assert columns.keys() <= before.keys()
-    return Row.from_columns(before | columns)
+    return Row.from_columns(before | columns, row.own_metrics)

@@ -14,6 +14,7 @@ from dronevio.benchmark.variants import AS_IS, RIG, variant_of
 from dronevio.estimators.registry import NamedEstimator
 from dronevio.eval.benchmark.cache import code_hash, content_hash, recording_hash
 from dronevio.eval.benchmark.jobs import RecordingSpec
+from dronevio.eval.benchmark.metrics import OwnMetric
 from dronevio.eval.benchmark.rows import VARIANT_SIGN
 from dronevio.eval.provenance import versions_here
 from dronevio.models.defects import defects_text
@@ -67,6 +68,8 @@ class Workbench:
     """Versions of the machine that planned the benchmark; all machines must have the same."""
     strict: bool = False
     """Whether recordings with defects are refused."""
+    own_metrics: tuple[OwnMetric, ...] = ()
+    """Metrics of the user that are computed as well."""
 
     def config_hash(self, estimator: str) -> str:
         """Return a hash of an estimator's settings."""
@@ -86,6 +89,7 @@ class Workbench:
 
     def estimate(self, spec: RecordingSpec, recording: Path, estimator: str) -> dict[str, Any]:
         """Run an estimator on a recording and score its estimate."""
+        from dronevio.benchmark.own_metrics import PythonMetric
         from dronevio.eval.benchmark.isolation import peak_memory_mb
         from dronevio.eval.benchmark.metrics import EvaluatedRun, RunCost, run_columns
         from dronevio.eval.metrics.scores import score_trajectory
@@ -112,7 +116,8 @@ class Workbench:
         is_whole = not spec.start_s and spec.laps == 1
         revisits = _revisits(recording, None if run is None else run.map) if is_whole else None
         evaluated = EvaluatedRun(scored, cost, opened.rig.cameras[0], run, revisits)
-        return {**run_columns(evaluated), "defects": defects_text(estimated.defects)}
+        own = {metric.name: PythonMetric.parse(metric.name).value(scored) for metric in self.own_metrics}
+        return {**run_columns(evaluated), **own, "defects": defects_text(estimated.defects)}
 
     def _named(self, label: str) -> NamedEstimator:
         return next(estimator for estimator in self.estimators if estimator.label == label)

@@ -3,16 +3,13 @@
 The module is imported from the installed packages or, if it is not there, from the current folder.
 """
 
-import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar
 
-from dronevio.eval.benchmark.cache import code_hash
 from dronevio.models.errors import ConfigError
 from dronevio.models.protocols import Estimator
-from dronevio.models.python_names import PythonName, search_here
+from dronevio.models.python_names import PythonName
 from dronevio.models.rig import Rig
 
 METHODS = ("add_imu", "add_frame")
@@ -50,21 +47,6 @@ class PythonEstimator(PythonName):
         estimator = self.load()(rig)
         self._require_methods(estimator)
         return estimator
-
-    def source_hash(self) -> str:
-        """Return the hash of the Python sources of the module's package, or of the module if it is in none.
-
-        Raises:
-            ConfigError: There is no such module.
-        """
-        top = self.module.partition(".")[0]
-        search_here()
-        spec = importlib.util.find_spec(top)
-        if spec is None:
-            raise ConfigError(f"estimator {self}: no module {top}; expected one that is installed or in {Path.cwd()}")
-        if spec.submodule_search_locations:
-            return code_hash(*map(Path, spec.submodule_search_locations))
-        return code_hash(Path(spec.origin)) if spec.origin and Path(spec.origin).is_file() else ""
 
     def _require_methods(self, estimator: object) -> None:
         """Check that a class or an object has the methods of an estimator.

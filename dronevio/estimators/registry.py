@@ -11,6 +11,7 @@ import numpy as np
 
 from dronevio.estimators.external_program import OUTPUT, RECORDING, ProgramRun, require_program, run_program
 from dronevio.estimators.python_estimator import PythonEstimator
+from dronevio.eval.benchmark.cache import code_hash
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.defects import Defect, refuse_defects
 from dronevio.models.errors import ConfigError, unknown_name
@@ -156,7 +157,7 @@ class NamedEstimator:
             command = {"command": shlex.split(self.name[external.end() :])}
             return {**command, "pose_offset_s": float(external[1])} if external[1] else command
         if self.name.startswith(PYTHON):
-            return {"class": self.name, "code": PythonEstimator.parse(self.name).source_hash()}
+            return {"class": self.name, "code": code_hash(*PythonEstimator.parse(self.name).sources())}
         return {"estimator": self.name, "config": to_jsonable(ESTIMATORS[self.name].settings())}
 
     def require_program(self) -> None:

@@ -14,6 +14,7 @@ from typing import Any, Protocol, Self
 
 from dronevio.eval.benchmark.cache import RecordingCache
 from dronevio.eval.benchmark.isolation import Outcome, call_in_process
+from dronevio.eval.benchmark.metrics import OwnMetric
 from dronevio.eval.benchmark.rows import Row
 from dronevio.eval.provenance import machine_here, processor_here
 
@@ -53,6 +54,10 @@ class BenchmarkPipeline(Protocol):
     @property
     def versions(self) -> str:
         """Versions of all code on which results depend."""
+
+    @property
+    def own_metrics(self) -> tuple[OwnMetric, ...]:
+        """Metrics of the user that are computed as well."""
 
     def config_hash(self, estimator: str) -> str:
         """Return a hash of an estimator's settings."""
@@ -168,7 +173,7 @@ class Job:
         }
         ending = {"status": outcome.status, "reason": outcome.reason}
         metrics = {"peak_mb": outcome.peak_mb, **(outcome.value or {}), "wall_s": outcome.wall_s}
-        return Row.from_columns({**run, **inputs, **ending, **metrics})
+        return Row.from_columns({**run, **inputs, **ending, **metrics}, self.pipeline.own_metrics)
 
     def _record(self, folder: Path) -> None:
         """Make the recording in a process of its own, and store its resource usage."""

@@ -5,7 +5,7 @@ tables and reports.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -237,13 +237,25 @@ METRICS = {metric.name: metric for metric in (*STORED_METRICS, *DERIVED_METRICS)
 """All metrics of a run by name."""
 
 
-def metric_named(name: str) -> Metric:
+@dataclass(frozen=True)
+class OwnMetric(Metric):
+    """A metric of the user without its function, as it is stored with the values: tables do not need its module."""
+
+    code_hash: str = ""
+    """Hash of the sources of its module; values of other sources are computed again."""
+
+
+def metric_named(name: str, own: Iterable[OwnMetric] = ()) -> Metric:
     """Return the metric by which estimators are compared that has a name.
+
+    Args:
+        name: The name.
+        own: Metrics of the user.
 
     Raises:
         ConfigError: There is no such metric.
     """
-    compared = {metric.name: metric for metric in METRICS.values() if metric.best is not None}
+    compared = {metric.name: metric for metric in (*METRICS.values(), *own) if metric.best is not None}
     if name not in compared:
         raise ConfigError(f"unknown measure {name!r}; expected some of {', '.join(compared)}")
     return compared[name]

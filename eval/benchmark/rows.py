@@ -2,15 +2,16 @@
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeAlias, get_args
 
 from dronevio.eval.benchmark.cache import content_hash
 from dronevio.eval.benchmark.isolation import Status
-from dronevio.eval.benchmark.metrics import DERIVED_METRICS, METRICS, STORED_METRICS, score_columns
+from dronevio.eval.benchmark.metrics import DERIVED_METRICS, METRICS, STORED_METRICS, OwnMetric, score_columns
 from dronevio.eval.metrics.scores import Scores
 from dronevio.models.errors import InputError
+from dronevio.models.python_names import PREFIX
 from dronevio.models.recordings.files import read_text
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ RESULTS_FILE = "results.parquet"
 VARIANT_SIGN = "+"
 """Stands between the name of a scenario and that of its variant."""
 _REPORT_FILE = "report.json"
+_METRIC = b"dronevio.metric"  # key of the metadata of a column
 MIN_COVERAGE_PERCENT, MAX_ATE_PERCENT = 99.0, 1.0
 """Smallest coverage, and largest ATE relative to the length of the path, of a run that has not diverged [%]."""
 START_VELOCITY_PERCENT, START_VELOCITY_M_S = 5.0, 0.03
@@ -65,20 +67,23 @@ class Row:
     sub_trajectory_rpe_deg: tuple[float, ...] = ()
     """Relative orientation error over each of these lengths, root mean square [°]."""
     values: Mapping[str, float] = field(default_factory=dict)
-    """Values of `STORED_METRICS` by name, without those that are not known."""
+    """Values of `STORED_METRICS` and of the metrics of the user by name, without those that are not known."""
+    own_metrics: tuple[OwnMetric, ...] = ()
+    """Metrics of the user."""
 
     @classmethod
-    def from_columns(cls, columns: Mapping[str, Any]) -> Self:
+    def from_columns(cls, columns: Mapping[str, Any], own_metrics: tuple[OwnMetric, ...] = ()) -> Self:
         """Return the row with some columns, metrics among them; other columns are not known."""
-        own = {name: columns[name] for name in _OWN_COLUMNS if name in columns}
-        names = (metric.name for metric in STORED_METRICS)
-        return cls(**own, values={name: columns[name] for name in names if columns.get(name) is not None})
+        run = {name: columns[name] for name in _RUN_COLUMNS if name in columns}
+        names = (metric.name for metric in (*STORED_METRICS, *own_metrics))
+        values = {name: columns[name] for name in names if columns.get(name) is not None}
+        return cls(**run, values=values, own_metrics=own_metrics)
 
     @property
     def columns(self) -> dict[str, Any]:
         """All columns by name, in the order of the file; None where a metric is not known."""
-        own = {name: getattr(self, name) for name in _OWN_COLUMNS}
-        return own | {metric.name: self.values.get(metric.name) for metric in STORED_METRICS}
+        run = {name: getattr(self, name) for name in _RUN_COLUMNS}
+        return run | {metric.name: self.values.get(metric.name) for metric in (*STORED_METRICS, *self.own_metrics)}
 
     def __getitem__(self, name: str) -> float | None:
         """Return the value of a metric; None if it is not known, as the errors of a failed run.
@@ -86,6 +91,8 @@ class Row:
         Raises:
             KeyError: There is no such metric.
         """
+        if name.startswith(PREFIX):  # a metric of the user
+            return self.values.get(name)
         metric = METRICS[name]
         return metric.of(self.values) if metric in DERIVED_METRICS else self.values.get(name)
 
@@ -120,18 +127,28 @@ class Row:
         return self.recording_hash, self.config_hash, self.versions
 
 
-_OWN_COLUMNS = tuple(each.name for each in fields(Row) if each.name != "values")
+_RUN_COLUMNS = tuple(each.name for each in fields(Row) if each.name not in ("values", "own_metrics"))
 _REQUIRED_COLUMNS = tuple(each.name for each in fields(Row) if each.default is each.default_factory is MISSING)
 
 
-def schema() -> "pyarrow.Schema":
-    """Return names and types of the columns; ``seed``, ``reason`` and the columns after it may be null."""
+def own_metrics(rows: Iterable[Row]) -> tuple[OwnMetric, ...]:
+    """Return the metrics of the user that some rows have."""
+    return tuple({metric.name: metric for row in rows for metric in row.own_metrics}.values())
+
+
+def schema(own: Iterable[OwnMetric] = ()) -> "pyarrow.Schema":
+    """Return names and types of the columns; ``seed``, ``reason`` and the columns after it may be null.
+
+    Args:
+        own: Metrics of the user, which are metadata of their columns.
+    """
     import pyarrow as pa
 
     kinds = {int | None: pa.int64(), tuple[float, ...]: pa.list_(pa.float64())}
-    own = [(name, kinds.get(Row.__annotations__[name], pa.string())) for name in _OWN_COLUMNS]
+    run = [(name, kinds.get(Row.__annotations__[name], pa.string())) for name in _RUN_COLUMNS]
     metrics = [(metric.name, pa.float64() if metric.decimals else pa.int64()) for metric in STORED_METRICS]
-    return pa.schema([*own, *metrics])
+    columns = [pa.field(metric.name, pa.float64(), metadata={_METRIC: _definition(metric)}) for metric in own]
+    return pa.schema([*run, *metrics, *columns])
 
 
 def write_rows(path: Path, rows: Iterable[Row]) -> None:
@@ -140,7 +157,8 @@ def write_rows(path: Path, rows: Iterable[Row]) -> None:
     from pyarrow import parquet
 
     temporary = path.with_name(f".{path.name}.part")
-    parquet.write_table(pa.Table.from_pylist([row.columns for row in rows], schema()), temporary)
+    rows = tuple(rows)
+    parquet.write_table(pa.Table.from_pylist([row.columns for row in rows], schema(own_metrics(rows))), temporary)
     temporary.replace(path)
 
 
@@ -166,12 +184,14 @@ def read_rows(path: Path) -> tuple[Row, ...]:
         raise InputError(path, f"cannot be read ({str(error).splitlines()[0]})", expected) from None
     if missing := [name for name in _REQUIRED_COLUMNS if name not in table.column_names]:
         raise InputError(path, f"no column {', '.join(missing)}", expected)
-    known = [column for column in schema() if column.name in table.column_names]
     try:
+        defined = (column.metadata[_METRIC] for column in table.schema if _METRIC in (column.metadata or {}))
+        own = tuple(OwnMetric(**json.loads(text)) for text in defined)
+        known = [column for column in schema(own) if column.name in table.column_names]
         table = table.select([column.name for column in known]).cast(pa.schema(known))
-    except (pa.ArrowException, ValueError) as error:
+    except (pa.ArrowException, ValueError, TypeError) as error:
         raise InputError(path, f"columns of other types ({str(error).splitlines()[0]})", expected) from None
-    rows = tuple(_row(path, number, values) for number, values in enumerate(table.to_pylist(), start=1))
+    rows = tuple(_row(path, number, values, own) for number, values in enumerate(table.to_pylist(), start=1))
     duplicates = [identity for identity, count in _counts(rows).items() if count > 1]
     if duplicates:
         raise InputError(path, f"two rows of {run_name(duplicates[0])}", "one row for each run")
@@ -212,20 +232,25 @@ def _row_of_report(path: Path) -> Row:
         raise InputError(path, f"no {error}", expected) from None
 
 
-def _row(path: Path, number: int, values: dict[str, Any]) -> Row:
+def _definition(metric: OwnMetric) -> str:
+    """Return everything about a metric but its function, as JSON."""
+    return json.dumps({name: value for name, value in asdict(metric).items() if name != "of"})
+
+
+def _row(path: Path, number: int, values: dict[str, Any], own: tuple[OwnMetric, ...]) -> Row:
     """Return a row of the file after the checks that the types of its columns do not cover."""
     required = ("scenario", "estimator", "status")
     empty = [name for name in required if values[name] is None]
     if empty or values["status"] not in get_args(Status):
         what = f"row {number} without {empty[0]}" if empty else f"row {number} with status {values['status']!r}"
         raise InputError(path, what, f"rows with {', '.join(required)}; status one of {', '.join(get_args(Status))}")
-    for name in _OWN_COLUMNS:
+    for name in _RUN_COLUMNS:
         kind = Row.__annotations__[name]
         if kind is str:
             values[name] = values.get(name) or ""
         elif kind == tuple[float, ...]:
             values[name] = tuple(values.get(name) or ())
-    return Row.from_columns(values)
+    return Row.from_columns(values, own)
 
 
 def _counts(rows: Iterable[Row]) -> dict[Identity, int]:

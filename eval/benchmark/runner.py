@@ -75,6 +75,8 @@ class BenchmarkPlan:
             return False
         if self.processor is not None and row.processor != self.processor:
             return False
+        if not {*self.pipeline.own_metrics} <= {*row.own_metrics}:
+            return False
         return row.dependencies == (spec.recording_hash, self.pipeline.config_hash(estimator), self.pipeline.versions)
 
 

@@ -25,6 +25,7 @@ from dronevio.eval.benchmark.cache_limit import limit_bytes
 from dronevio.eval.benchmark.engines import JobEnd, JobEvent, LocalEngine
 from dronevio.eval.benchmark.isolation import Outcome, Status, call_in_process
 from dronevio.eval.benchmark.jobs import Job, RecordingSpec
+from dronevio.eval.benchmark.metrics import OwnMetric
 from dronevio.eval.benchmark.rows import RESULTS_FILE, read_results, read_rows, schema, write_rows
 from dronevio.eval.benchmark.runner import BenchmarkPlan, run_benchmark
 from dronevio.eval.benchmark.store import ResultStore
@@ -139,6 +140,23 @@ def test_rows_are_read_as_they_were_written(tmp_path: Path) -> None:
     assert table.column_names == list(OK.columns) == schema().names
     assert table.column("ate_m").null_count == 1
     assert [entry.name for entry in tmp_path.iterdir()] == [RESULTS_FILE]
+
+
+def test_metrics_of_the_user_are_stored_with_their_titles_and_units(tmp_path: Path) -> None:
+    path = tmp_path / RESULTS_FILE
+    metric = OwnMetric("Share of bends", "%", 1, "high", "python:mine:BENDS", counts_failed=False, code_hash="a")
+    bends = replace(OK, own_metrics=(metric,), values={**OK.values, metric.name: 40.0})
+    crashed = replace(CRASHED, own_metrics=(metric,))
+    write_rows(path, [bends, crashed])
+    assert read_rows(path) == (bends, crashed)
+    assert [row[metric.name] for row in read_rows(path)] == [40.0, None]
+    write_rows(path, [bends, CRASHED])  # of a run without the metric, it is not known
+    assert read_rows(path) == (bends, crashed)
+    table = parquet.read_table(path)
+    damaged = table.schema.field(metric.name).with_metadata({"dronevio.metric": '{"colour": 1}'})
+    parquet.write_table(table.cast(table.schema.set(len(table.schema) - 1, damaged)), path)
+    with pytest.raises(InputError, match="columns of other types"):
+        read_rows(path)
 
 
 def test_files_that_are_no_results_are_refused(tmp_path: Path) -> None:
@@ -356,6 +374,7 @@ class NoPipeline:
     """A pipeline for engines that do not call it."""
 
     versions: str = "1"
+    own_metrics: tuple[OwnMetric, ...] = ()
 
     def config_hash(self, estimator: str) -> str:
         """Return a text that differs between estimators."""
@@ -402,7 +421,7 @@ class FakeEngine:
                     self.status,
                     recording_hash=job.spec.recording_hash,
                 )
-                yield number, row
+                yield number, replace(row, own_metrics=job.pipeline.own_metrics)
             yield number, JobEnd("node lost" if self.lost_estimator else "")
 
 
@@ -439,6 +458,20 @@ def test_only_runs_whose_inputs_changed_are_repeated(tmp_path: Path) -> None:
     assert runs(pipeline=NoPipeline("2")) == 6
     assert runs(pipeline=NoPipeline("2"), recordings=(RecordingSpec("room-v0", "room", 0, "another", None),)) == 2
     assert len(read_rows(tmp_path)) == 4 * 2 + 3  # rows that are not in the plan are kept
+
+
+def test_runs_without_a_metric_of_the_user_are_repeated(tmp_path: Path) -> None:
+    def runs(*metrics: OwnMetric) -> int:
+        engine = FakeEngine()
+        run_benchmark(benchmark(tmp_path, pipeline=NoPipeline(own_metrics=metrics)), ResultStore(tmp_path), engine)
+        return engine.runs
+
+    one, other = (OwnMetric(name, "m", 3, name=f"python:mine:{name}", code_hash="a") for name in ("ONE", "OTHER"))
+    assert runs() == 6
+    assert runs(one, other) == 6
+    assert runs(one) == runs() == 0  # those that are stored stay
+    assert {row.own_metrics for row in read_rows(tmp_path)} == {(one, other)}
+    assert runs(replace(one, code_hash="b")) == 6
 
 
 def test_runs_of_another_kind_of_processor_are_repeated(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from dronevio.eval.benchmark.isolation import Outcome, Status
 from dronevio.eval.benchmark.jobs import USAGE_FILE, Job, RecordingSpec, ResourceUsage
+from dronevio.eval.benchmark.metrics import OwnMetric
 from dronevio.eval.benchmark.rows import Row
 from dronevio.eval.benchmark.runner import BenchmarkPlan
 from dronevio.eval.benchmark.sizing import JobUsage
@@ -23,6 +24,7 @@ class SmallPipeline:
     """A pipeline that writes recordings of 1500 bytes and has a position error of 0.1 m."""
 
     versions: str = "1"
+    own_metrics: tuple[OwnMetric, ...] = ()
 
     def config_hash(self, estimator: str) -> str:
         """Return the same text for all estimators."""

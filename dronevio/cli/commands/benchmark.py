@@ -54,6 +54,7 @@ class BenchmarkCommand(Settings):
       dronevio benchmark --recordings V1_01_easy V1_02_medium --out benchmarks/euroc
       dronevio benchmark --suite easy --estimators vio 'mine=external:./mine --in {recording} --out {output}'
       dronevio benchmark --suite easy --estimators vio mine=python:my_package.odometry:Odometry
+      dronevio benchmark --suite room --metrics python:my_metrics:FINAL_ERROR
       dronevio benchmark --suite room --seeds 1000 --engine ray --address auto
       dronevio benchmark --suite room --sizing
       dronevio benchmark --suite explore --variants rays --seeds 4
@@ -87,6 +88,9 @@ class BenchmarkCommand(Settings):
     rows are named FLIGHT×LAPS. Flights must begin and end at rest at the same pose."""
     estimators: tuple[str, ...] = ("vio",)
     """Estimators to run. Several names may be joined by commas."""
+    metrics: tuple[str, ...] = ()
+    """Metrics of your own that become columns of the results: python:package.module:NAME, as in `dronevio evaluate`.
+    Runs that lack them, or have an earlier version of them, are repeated."""
     seeds: Annotated[int, Range(1, 100_000)] = 10
     """Number of seeds of each scenario."""
     first_seed: Annotated[int, Range(0, 2**32 - 1)] = 0
@@ -156,18 +160,23 @@ def main(arguments: Sequence[str]) -> int:
 
 def print_benchmark(rows: Sequence["Row"]) -> None:
     """Print the errors of each estimator on each scenario, and the failed runs."""
+    from dronevio.eval.benchmark.rows import own_metrics
     from dronevio.eval.benchmark.summary import failed_runs, quartiles_of_errors, run_groups
+    from dronevio.eval.report.benchmark.model import metric_quartiles
 
+    own = own_metrics(rows)
     columns = (("ATE [m]", "ate_m"), ("RPE 1 s [m]", "rpe_m"))
     cells = []
     for group in run_groups(rows):
         errors = [quartiles_of_errors(group.rows, column) for _, column in columns]
+        errors += [metric_quartiles(metric, group.rows) for metric in own]
         cost = quartiles_of_errors([row for row in group.rows if row.status == "ok"], "cpu_ms_mean")
         figures = ["–" if spread is None else spread.text(len(group.rows) > 1) for spread in errors]
         counts = f"{group.ok}/{len(group.rows)}", f"{group.diverged}"
         milliseconds = "–" if cost is None else f"{cost.median:.1f}"
         cells.append((group.scenario, group.estimator, *counts, *figures, milliseconds))
-    headings = ("scenario", "estimator", "ok", "diverged", *(heading for heading, _ in columns), "ms/frame")
+    headings = ("scenario", "estimator", "ok", "diverged", *(heading for heading, _ in columns))
+    headings = (*headings, *(metric.heading for metric in own), "ms/frame")
     print_table(
         "Median and quartiles over seeds; a failed run ranks behind all others", headings, cells, left=("estimator",)
     )
@@ -200,6 +209,7 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
         ConfigError: There is no flight, or an option has an invalid value.
     """
     from dronevio.benchmark.jobs import Workbench, excerpts, recorded_flights, versions
+    from dronevio.benchmark.own_metrics import PythonMetric
     from dronevio.estimators.registry import EXTERNAL, estimator_named
     from dronevio.eval.benchmark.cache_limit import default_folder
     from dronevio.eval.benchmark.runner import BenchmarkPlan
@@ -214,6 +224,7 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
     labels = [estimator.label for estimator in estimators]
     if not labels or len(set(labels)) < len(labels):
         raise ConfigError(f"estimators {', '.join(labels) or 'none'}; expected at least one, and each name once")
+    own = tuple(PythonMetric.parse(text).load() for text in dict.fromkeys(command.metrics))
     if command.engine == "local":
         for estimator in estimators:
             estimator.require_program()
@@ -235,7 +246,7 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
     return BenchmarkPlan(
         flights,
         tuple(labels),
-        Workbench(estimators, versions(), command.strict),
+        Workbench(estimators, versions(), command.strict, own),
         (command.cache or default_folder()).absolute(),
         command.timeout_s,
         command.keep_recordings,

@@ -5,13 +5,12 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import command_line, parse, print_json, print_table, print_values, print_warning
-from dronevio.models.python_names import PythonName
 from dronevio.models.ranges import Range, Settings
 
 if TYPE_CHECKING:
@@ -22,13 +21,6 @@ if TYPE_CHECKING:
 
 SPARSE_TRUTH_S = 0.1
 """Interval of the ground truth from which its interpolation is worth a warning [s]: at 2 m/s² it errs by 2.5 mm."""
-
-
-@dataclass(frozen=True)
-class PythonMetric(PythonName):
-    """Name of a metric in a module."""
-
-    what: ClassVar[str] = "metric"
 
 
 @dataclass(frozen=True)
@@ -103,14 +95,15 @@ def main(arguments: Sequence[str]) -> int:
     command = parse(EvaluateCommand, arguments, "evaluate")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # starting threads would cost more than they could save
 
-    from dronevio.eval.metrics import Metric, score_trajectory
+    from dronevio.benchmark.own_metrics import PythonMetric
+    from dronevio.eval.metrics import score_trajectory
     from dronevio.eval.metrics.time_offset import estimate_time_offset_s
     from dronevio.models.errors import InputError
 
     if _is_recording(command.estimate) and not _is_recording(command.truth):
         expected = f"the truth first: {command_line('evaluate', command.estimate, command.truth)}"
         raise InputError(command.estimate, "it is a recording, which holds the truth", expected)
-    own = {text: PythonMetric.parse(text).instance_of(Metric) for text in command.metrics or ()}
+    own = {text: PythonMetric.parse(text).load() for text in command.metrics or ()}
     estimate = _trajectory(command, command.estimate)
     truth = _trajectory(command, command.truth, estimate.t_ns)
     if command.association == "interpolate":
@@ -123,7 +116,7 @@ def main(arguments: Sequence[str]) -> int:
     )
     kitti = _kitti(command, scored) if command.kitti else None
     offset_s = estimate_time_offset_s(truth, estimate) if command.estimate_time_offset else None
-    own_values = {text: metric.of(scored) for text, metric in own.items()}
+    own_values = {text: PythonMetric.parse(text).value(scored) for text in own}
     if command.plot is not None:
         _plot(command.plot, scored)
     if command.printing.json:

@@ -81,8 +81,8 @@ def _document(benchmark: "BenchmarkResults", command: ReportCommand) -> str:
     from dronevio.eval.report.benchmark.model import MAIN_MEASURES
     from dronevio.eval.report.benchmark.tables import DEFAULT_TABLES, as_csv, as_latex, as_markdown
 
-    chosen = tuple(map(metric_named, command.measures))
-    default = tuple(m for m in benchmark.measures if command.format == "csv" or m.name in MAIN_MEASURES)
+    chosen = tuple(metric_named(name, benchmark.own_metrics) for name in command.measures)
+    default = benchmark.measures if command.format == "csv" else benchmark.measures_named(MAIN_MEASURES)
     if command.format == "csv":
         return as_csv(benchmark, chosen or default)
     render = {"markdown": as_markdown, "latex": as_latex}[command.format]

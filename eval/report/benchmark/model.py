@@ -11,15 +11,15 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from dronevio.eval.benchmark.metrics import METRICS
+from dronevio.eval.benchmark.metrics import METRICS, OwnMetric
 from dronevio.eval.benchmark.outcomes import Expectation, Verdict, verdicts
-from dronevio.eval.benchmark.rows import Row, read_rows
+from dronevio.eval.benchmark.rows import Row, own_metrics, read_rows
 from dronevio.eval.benchmark.summary import Quartiles, known_values
 from dronevio.eval.metrics.metric import Metric
 from dronevio.models.errors import InputError
 
 MAIN_MEASURES = ("ate_m", "rpe_m", "drift_percent", "coverage_percent", "cpu_ms_mean")
-"""Names of the metrics that Markdown and LaTeX tables show by default."""
+"""Names of the metrics that Markdown and LaTeX tables show by default, beside those of the user."""
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,21 @@ class BenchmarkResults:
         return tuple(sorted(self.estimators, key=lambda name: (ate[name] is None, keys[name], name)))
 
     @cached_property
+    def own_metrics(self) -> tuple[OwnMetric, ...]:
+        """The metrics of the user."""
+        return own_metrics(self.rows)
+
+    @cached_property
     def measures(self) -> tuple[Metric, ...]:
         """The metrics by which estimators are compared, and which at least one run has."""
         scored = [row for row in self.rows if row.status == "ok"] or self.rows
-        compared = (metric for metric in METRICS.values() if metric.best is not None)
+        compared = (metric for metric in (*METRICS.values(), *self.own_metrics) if metric.best is not None)
         return tuple(metric for metric in compared if known_values(scored, metric.name))
+
+    def measures_named(self, names: Iterable[str]) -> tuple[Metric, ...]:
+        """Return the measures of some names, and those of the user."""
+        chosen = {*names, *(metric.name for metric in self.own_metrics)}
+        return tuple(metric for metric in self.measures if metric.name in chosen)
 
     @cached_property
     def _rows_by_cell(self) -> dict[tuple[str, str], list[Row]]:
@@ -87,7 +97,8 @@ class BenchmarkResults:
     def _estimators_by_metric(self) -> dict[str, frozenset[str]]:
         """The estimators of which a run has a value of a metric, and those of which no run has scores at all."""
         unscored = frozenset(self.estimators) - {row.estimator for row in self.rows if row.status == "ok"}
-        return {name: unscored | {row.estimator for row in self.rows if row[name] is not None} for name in METRICS}
+        names = (*METRICS, *(metric.name for metric in self.own_metrics))
+        return {name: unscored | {row.estimator for row in self.rows if row[name] is not None} for name in names}
 
     def runs(self, estimator: str, scenario: str | None = None) -> list[Row]:
         """Return the runs of an estimator in one scenario, or in all if it is None."""

@@ -36,7 +36,7 @@ from dronevio.eval.report.templating import Tile, render_page
 
 ATE, DRIFT, NEES = METRICS["ate_m"], METRICS["drift_percent"], METRICS["nees_position"]
 OPEN_MEASURES = ("ate_m", "drift_percent")
-"""Names of the metrics whose tables are open when the page is loaded."""
+"""Names of the metrics whose tables are open when the page is loaded, beside those of the user."""
 _MAX_NARROW_COLUMNS = 3  # estimators of a table that takes half of a wide page
 _MAX_LISTED_RUNS = 2000  # a page with a longer list is slow
 _PLOT_HEIGHT_IN = 2.9
@@ -127,8 +127,9 @@ def _card(results: BenchmarkResults, estimator: str) -> Tile:
 
 def _measure_tables(results: BenchmarkResults) -> list[tuple[str, Table, bool]]:
     """Return heading and table of each measure, and whether it is open; open ones come first."""
-    ordered = sorted(results.measures, key=lambda metric: metric.name not in OPEN_MEASURES)
-    return [(m.heading, measure_table(results, m), m.name in OPEN_MEASURES) for m in ordered]
+    opened = results.measures_named(OPEN_MEASURES)
+    closed = (metric for metric in results.measures if metric not in opened)
+    return [(m.heading, measure_table(results, m), m in opened) for m in (*opened, *closed)]
 
 
 def _run_plot(results: BenchmarkResults, metric: Metric, expected: tuple[float, float] | None = None) -> Markup:

@@ -38,7 +38,7 @@ NOTE = (
 )
 """Explanation of the tables."""
 RUN_COLUMNS = ("ate_m", "rpe_m", "drift_percent", "coverage_percent", "nees_position", "cpu_ms_mean", "wall_s")
-"""Columns of the list of all runs."""
+"""Columns of the list of all runs, beside the metrics of the user."""
 TABLES = ("summary", "measures", "consistency", "starts", "loops", "runs", "outcomes", "losses", "failures")
 """Names of the tables of a report."""
 DEFAULT_TABLES = ("measures", "outcomes", "failures")
@@ -108,7 +108,7 @@ def outcome_table(results: BenchmarkResults) -> Table:
 
 def run_table(results: BenchmarkResults) -> Table:
     """Return the table of all runs."""
-    shown = [metric for metric in results.measures if metric.name in RUN_COLUMNS]
+    shown = results.measures_named(RUN_COLUMNS)
     rows = []
     for row in results.rows:
         values = (value_of(metric, row) if row.status == "ok" else None for metric in shown)
