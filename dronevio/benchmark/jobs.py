@@ -29,7 +29,9 @@ if TYPE_CHECKING:
     from dronevio.sim.scenario import Scenario
 
 _ROOT = Path(dronevio.__file__).parent
-_RENDERING_CODE = tuple(_ROOT / name for name in ("sim", "models", "recorder.py", "measured_flights.py"))
+_RENDERING_CODE = tuple(
+    _ROOT / name for name in ("sim", "models", "recording/recorder.py", "benchmark/measured_flights.py")
+)
 _ESTIMATION_CODE = tuple(
     _ROOT / name
     for name in (
@@ -38,12 +40,9 @@ _ESTIMATION_CODE = tuple(
         "eval/run.py",
         "eval/tracking.py",
         "eval/benchmark/metrics.py",
-        "driver.py",
-        "excerpts.py",
-        "external_program.py",
-        "python_estimator.py",
-        "registry.py",
-        "true_views.py",
+        "estimators",
+        "recording/excerpts.py",
+        "benchmark/true_views.py",
     )
 )
 _RENDERING_PACKAGES = ("dronevio", "mujoco", "opencv-python-headless", "numpy")

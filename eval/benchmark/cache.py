@@ -27,10 +27,14 @@ def content_hash(settings: object) -> str:
 
 
 def code_hash(*paths: Path) -> str:
-    """Return the hash of the Python and XML sources in some files and folders."""
+    """Return the hash of the Python and XML sources in some files and folders.
+
+    Raises:
+        FileNotFoundError: There is no such file or folder.
+    """
     digest = hashlib.sha256()
     for path in paths:
-        files = [path] if path.is_file() else sorted(f for f in path.rglob("*") if f.suffix in (".py", ".xml"))
+        files = sorted(f for f in path.rglob("*") if f.suffix in (".py", ".xml")) if path.is_dir() else [path]
         for file in files:
             digest.update(f"{file.relative_to(path.parent)}\0".encode() + file.read_bytes() + b"\0")
     return digest.hexdigest()[:_HASH_DIGITS]

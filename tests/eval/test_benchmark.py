@@ -214,6 +214,8 @@ def test_hashes_depend_on_contents_only(tmp_path: Path) -> None:
         recording_hash(tmp_path / "nothing")
     (tmp_path / "code.py").write_text("a = 1")
     assert code_hash(tmp_path / "code.py") != code_hash(folder)
+    with pytest.raises(FileNotFoundError):
+        code_hash(tmp_path / "moved.py")
 
 
 def test_a_recording_that_many_threads_acquire_is_made_once(tmp_path: Path) -> None:
