@@ -225,7 +225,7 @@ class VisualInertialOdometry:
             if parts.observer is not None and not correction.has_kept_window:
                 for estimate in smoother.keyframe_estimates():
                     parts.observer.marginalized(estimate)
-            if not correction.has_corrected_state:
+            if not correction.corrects_displacement:
                 tracking = replace(tracking, origin=tracking.origin.corrected(smoother.state, given))
             smoother, events = correction.smoother, (*events, *correction.events)
             monitor.correct(published, smoother.state)

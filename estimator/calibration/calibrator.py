@@ -26,8 +26,8 @@ class Correction:
     """The smoother with the corrected calibration."""
     has_kept_window: bool
     """Whether it has kept its window; otherwise it begins at the newest state."""
-    has_corrected_state: bool
-    """Whether it begins at a state by the corrected calibration; others contain the errors of the previous one."""
+    corrects_displacement: bool
+    """Whether it begins at a state without errors of the previous calibration, since the vehicle left the ground."""
     events: tuple[str, ...]
     """What has been corrected, and the cause where that is not plausible, as texts for people."""
 
@@ -130,7 +130,7 @@ class Calibrator:
         has_failed = was_plausible and not self.is_plausible
         causes = (f"probable cause: {Cause.IMPLAUSIBLE_CALIBRATION}",) if has_failed else ()
         events = (f"calibration corrected: {online.applied}", *causes)
-        return Correction(smoother, keeps_window, corrected is not None, events)
+        return Correction(smoother, keeps_window, corrected is not None and online.corrects_displacement, events)
 
     def with_uncertainty(self, state: NavState, origin: Origin, rate_rad_s: Array) -> NavState:
         """Return a state with the uncertainty of the calibration in use; see `OnlineCalibration.uncertainty`.

@@ -92,7 +92,7 @@ class ParameterEstimate:
         return replace(newest, mean=mean, covariance=covariance)
 
     def corrected(
-        self, mean: Array, covariance: Array, parameters: ParameterTable, test: SignificanceTest
+        self, mean: Array, covariance: Array, parameters: ParameterTable, test: SignificanceTest, *, is_complete: bool
     ) -> "ParameterEstimate | None":
         """Return the estimate with the corrections applied that are significant; None where none is.
 
@@ -101,6 +101,7 @@ class ParameterEstimate:
             covariance: (D, D) Their covariance.
             parameters: The parameters.
             test: Determines what is significant.
+            is_complete: Whether the adjustment is that of a complete window, so that its result is kept.
         """
         difference, follows, is_corrected = mean - self.applied, self.follows.copy(), False
         for group in parameters.groups:
@@ -108,10 +109,33 @@ class ParameterEstimate:
                 follows[group.rows] = is_corrected = True
         if not is_corrected:
             return None
-        applied, change = np.where(follows, mean, self.applied), np.where(follows, difference, 0.0)
+        mean, covariance = with_wider_prior(mean, covariance, parameters.sigmas, follows & ~self.follows)
+        applied, change = np.where(follows, mean, self.applied), np.where(follows, mean - self.applied, 0.0)
         is_plausible = self.is_plausible and bool((np.abs(applied) <= parameters.limits).all())
-        known = replace(self, newest_mean=mean, applied=applied, newest_change=change)
-        return replace(known, follows=follows, is_plausible=is_plausible)
+        known = self.fused(mean, covariance, is_complete=is_complete)
+        return replace(known, applied=applied, newest_change=change, follows=follows, is_plausible=is_plausible)
+
+
+def with_wider_prior(
+    mean: Array, covariance: Array, sigmas: Array, is_wrong: npt.NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Return an estimate whose prior standard deviations are at least the corrections, where the calibration is wrong.
+
+    A correction beyond the standard deviation of the given calibration refutes the latter, which would draw the
+    estimate back for the rest of the flight (empirical Bayes).
+
+    Args:
+        mean: (D,) Estimated corrections, with a prior of mean zero.
+        covariance: (D, D) Their covariance.
+        sigmas: (D,) Standard deviations of that prior.
+        is_wrong: (D,) Whether the given value of a parameter is known to be wrong.
+    """
+    wider = np.where(is_wrong, np.maximum(sigmas, np.abs(mean)), sigmas)
+    if np.array_equal(wider, sigmas):
+        return mean, covariance
+    information = np.linalg.inv(covariance)
+    widened = np.linalg.inv(information + np.diag(wider**-2.0 - sigmas**-2.0))
+    return widened @ (information @ mean), widened
 
 
 def inflation_share(change: Array) -> float:

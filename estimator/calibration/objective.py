@@ -170,7 +170,7 @@ class CalibrationObjective:
             mean,
             information,
             np.flatnonzero(estimated),
-            _first_information(config, keyframes[0].state if begins_stationary else None),
+            _first_information(config, keyframes[0].state, is_stationary=begins_stationary),
             factors,
             observations,
             gravity_m_s2,
@@ -308,19 +308,28 @@ class CalibrationObjective:
         return EliminatedLandmarks(columns, L_l, half.reshape(L, 3, -1))
 
 
-def _first_information(config: AdjustmentConfig, stationary: NavState | None) -> Array:
+def _first_information(config: AdjustmentConfig, first: NavState, *, is_stationary: bool) -> Array:
     """Return the information (15, 15) on the first keyframe and the biases, before the window.
+
+    In motion, its state depends on the wrong calibration, all but the heading, which no measurement of the window
+    shows.
 
     Args:
         config: Settings.
-        stationary: State of the first keyframe if the vehicle is stationary there, otherwise None.
+        first: State of the first keyframe.
+        is_stationary: Whether the vehicle is stationary there.
     """
     c = config
-    if stationary is None or stationary.covariance is None:
-        sigmas = [c.orientation_sigma_rad, GAUGE_SIGMA_M, c.velocity_sigma_m_s]
-        sigmas += [c.gyro_bias_sigma_rad_s, c.accel_bias_sigma_m_s2]
-        return np.diag(np.repeat(np.array(sigmas) ** -2.0, 3))
-    P = stationary.covariance.copy()
-    P[3:6, :] = P[:, 3:6] = 0.0
-    P[3:6, 3:6] = GAUGE_SIGMA_M**2 * np.eye(3)
-    return np.asarray(np.linalg.inv(P), dtype=np.float64)
+    if is_stationary and first.covariance is not None:
+        P = first.covariance.copy()
+        P[3:6, :] = P[:, 3:6] = 0.0
+        P[3:6, 3:6] = GAUGE_SIGMA_M**2 * np.eye(3)
+        return np.asarray(np.linalg.inv(P), dtype=np.float64)
+    sigmas = [c.orientation_sigma_rad, GAUGE_SIGMA_M, c.velocity_sigma_m_s]
+    sigmas += [c.gyro_bias_sigma_rad_s, c.accel_bias_sigma_m_s2]
+    information = np.diag(np.repeat(np.array(sigmas) ** -2.0, 3))
+    if first.covariance is not None:
+        vertical = first.T_world_imu[2, :3]  # in the IMU frame
+        known = 1.0 / (vertical @ first.covariance[:3, :3] @ vertical) - c.orientation_sigma_rad**-2.0
+        information[:3, :3] += max(known, 0.0) * np.outer(vertical, vertical)
+    return information

@@ -10,7 +10,8 @@ matter; that part then follows the estimate.
 What happens before a correction is lost, so it comes early. The matches of the first keyframe determine the rotation
 between the cameras, also at rest. A window in motion begins with the last keyframe at rest, and its beginning is
 adjusted several times while it grows. Because the state at rest does not depend on the calibration, such a window also
-determines the newest state by the corrected calibration, with which the odometry continues.
+determines the newest state by the corrected calibration, with which the odometry continues. So does any window after a
+correction of intrinsics with one camera.
 """
 
 from dataclasses import dataclass, replace
@@ -125,6 +126,7 @@ class OnlineCalibration:
         self._is_comparing = cameras > 1 and c.rotation.online  # until the cameras have been compared
         self._has_stepped = False  # since the last keyframe
         self._corrected_state: NavState | None = None
+        self._corrects_displacement = False
 
     @property
     def calibration(self) -> Calibration:
@@ -165,10 +167,16 @@ class OnlineCalibration:
     def corrected_state(self) -> NavState | None:
         """The newest state by the last correction, with its covariance; None where the window does not determine it.
 
-        A window that begins at rest determines it, because a stationary vehicle's state does not depend on the
-        calibration.
+        It is that of the adjustment after a large correction, if the window begins at rest, where the state does not
+        depend on the calibration, or if intrinsics of a single camera are corrected, which have scaled the window of
+        the odometry. Little is assumed of the first state of a window that begins in motion.
         """
         return self._corrected_state
+
+    @property
+    def corrects_displacement(self) -> bool:
+        """Whether `corrected_state` contains no error of the calibration before: its window began at rest."""
+        return self._corrects_displacement
 
     def restart(self) -> None:
         """Discard the windows under way, because the states are not consistent with those that follow."""
@@ -207,6 +215,7 @@ class OnlineCalibration:
         self._collected, window = self._collected.added(keyframe, self._prior.config, stationary=stationary)
         if self._is_comparing and self._compare_cameras(keyframe):
             self._corrected_state, is_corrected = state if stationary else None, True
+            self._corrects_displacement = stationary
         else:
             is_corrected = self._conclude(window)
         # A complete window, or a longer part of one, replaces the one that waits
@@ -247,7 +256,7 @@ class OnlineCalibration:
         if np.abs(Corrections.from_vector(result.mean).rotation_rad).max() > MAX_RELATIVE_SIGMAS * c.rotation.sigma:
             return False
         test = SignificanceTest(MIN_RELATIVE_CORRECTION, MIN_RELATIVE_CORRECTION, corrects_intrinsics=False)
-        return self._apply(result.mean, _inverse(result.information), test)
+        return self._apply(result.mean, _inverse(result.information), test, is_complete=False)
 
     def _adjusting(self, window: CalibrationWindow) -> Adjusting | None:
         """Set up the adjustment of a window, if it has enough keyframes and landmarks."""
@@ -283,12 +292,13 @@ class OnlineCalibration:
         c, cameras = self._prior.config, len(self._prior.given.rig.cameras)
         begins, is_complete = window.begins_stationary, window.is_complete
         test = SignificanceTest.of_window(c, cameras, begins_stationary=begins, is_complete=is_complete)
-        if not self._apply(mean, covariance, test):
+        if not self._apply(mean, covariance, test, is_complete=is_complete):
             return False
-        self._corrected_state = None
+        self._corrected_state, self._corrects_displacement = None, begins
         # After a large correction, the newest state by the adjustment, propagated over the keyframes since
-        first, share = window.keyframes[0].state.covariance, inflation_share(self._estimate.newest_change)
-        if window.begins_stationary and first is not None and share > KEPT_INFLATION:
+        first, change = window.keyframes[0].state.covariance, self._estimate.newest_change
+        determines = begins or (cameras == 1 and Corrections.from_vector(change).has_intrinsics)
+        if first is not None and determines and inflation_share(change) > KEPT_INFLATION:
             t_ns, newest = result.newest.t_ns, result.newest_given(self._estimate.applied)
             waiting = due.keyframes if due is not None and due.is_complete else ()
             later = (*(k for k in waiting if k.state.t_ns > t_ns), *self._collected.after(t_ns))
@@ -297,9 +307,10 @@ class OnlineCalibration:
                 self._collected = NO_KEYFRAMES  # its states do not continue those that follow
         return True
 
-    def _apply(self, mean: Array, covariance: Array, test: SignificanceTest) -> bool:
+    def _apply(self, mean: Array, covariance: Array, test: SignificanceTest, *, is_complete: bool) -> bool:
         """Apply the corrections that are significant, and return whether there are any."""
-        corrected = self._estimate.corrected(mean, covariance, self._prior.parameters, test)
+        parameters = self._prior.parameters
+        corrected = self._estimate.corrected(mean, covariance, parameters, test, is_complete=is_complete)
         if corrected is None:
             return False
         self._estimate, self._calibration = (

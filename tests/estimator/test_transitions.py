@@ -144,9 +144,9 @@ def test_starts_in_motion_take_the_noise_that_the_samples_show(
     assert isinstance(vio._state.phase, Tracking) and min(len(taken), 1) == expected
 
 
-@pytest.mark.parametrize("has_corrected_state", [False, True])
+@pytest.mark.parametrize("corrects_displacement", [False, True])
 def test_a_correction_does_not_make_the_position_more_certain(
-    short_flight: "SyntheticFlight", has_corrected_state: bool
+    short_flight: "SyntheticFlight", corrects_displacement: bool
 ) -> None:
     """The focal length is known to 5 % before it, and exactly after it; what it has made of the way remains."""
     vio, feed = VisualInertialOdometry(short_flight.rig, front_end=short_flight.front_end()), measurements(short_flight)
@@ -165,14 +165,14 @@ def test_a_correction_does_not_make_the_position_more_certain(
 
         def add_keyframe(self, smoother: KeyframeSmoother, *_: Any, **__: Any) -> Correction:
             self.sigmas = CalibrationSigmas()
-            return Correction(smoother, True, has_corrected_state, ())
+            return Correction(smoother, True, corrects_displacement, ())
 
     calibrator: Any = Corrected(vio._parts.calibrator)
     vio._parts = replace(vio._parts, calibrator=calibrator)
     push(vio, feed, frames=20)
     assert isinstance(vio._state.phase, Tracking)
     origin = vio._state.phase.origin
-    if has_corrected_state:
+    if corrects_displacement:
         assert origin is given
     else:
         way_m = np.linalg.norm(origin.position_m - given.position_m)

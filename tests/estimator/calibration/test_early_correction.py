@@ -141,7 +141,7 @@ def test_positions_of_the_cameras_are_not_corrected() -> None:
     mean[positions] = 0.05
     assert len(positions) == 7  # and the scale of the gyroscope
     certain, test = 1e-8 * np.eye(len(mean)), SignificanceTest(0.0, 0.0)
-    assert ParameterEstimate.prior(parameters).corrected(mean, certain, parameters, test) is None
+    assert ParameterEstimate.prior(parameters).corrected(mean, certain, parameters, test, is_complete=True) is None
     equal = CalibrationConfig(focal=CalibrationConfig().principal)  # settings of one part that another has, too
     np.testing.assert_array_equal(ParameterTable.of(equal, 2).is_unknown, parameters.is_unknown)
     online = CalibrationConfig(translation=replace(CalibrationConfig().translation, online=True))

@@ -9,7 +9,7 @@ from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
 from dronevio.estimator.calibration.estimate import ParameterEstimate, covariance_inflation, inflation_share
 from dronevio.estimator.calibration.parameters import FIXED_SIGMA, ParameterTable
-from dronevio.estimator.calibration.significance import SignificanceTest
+from dronevio.estimator.calibration.significance import STATIONARY_SIGMAS, SignificanceTest
 from dronevio.models.arrays import Array
 
 CONFIG = CalibrationConfig()
@@ -64,36 +64,38 @@ def test_what_is_not_applied_is_an_error_of_the_calibration() -> None:
     covariance[3, 3] = 0.004**2
     for is_complete in (False, True):
         kept = PRIOR.fused(corrections(x_rad=0.003), covariance, is_complete=is_complete)
-        assert kept.corrected(kept.newest_mean, covariance, PARAMETERS, TEST) is None
+        assert kept.corrected(kept.newest_mean, covariance, PARAMETERS, TEST, is_complete=True) is None
         assert kept.errors(EACH)[3] == pytest.approx(0.005)
         np.testing.assert_allclose(kept.errors(EACH)[4:], PARAMETERS.sigmas[4:])
-        applied = kept.fused(corrections(x_rad=0.03), covariance, is_complete=is_complete)
-        applied = applied.corrected(applied.newest_mean, covariance, PARAMETERS, TEST) or applied
-        assert applied.applied[3] == 0.03
+        applied = kept.fused(corrections(x_rad=0.015), covariance, is_complete=is_complete)
+        applied = applied.corrected(applied.newest_mean, covariance, PARAMETERS, TEST, is_complete=True) or applied
+        assert applied.applied[3] == 0.015
         assert applied.errors(EACH)[3] == pytest.approx(0.004)
 
 
 def test_a_corrected_parameter_follows_the_estimate() -> None:
     """Also by less than the smallest correction, where another parameter is corrected."""
-    first = PRIOR.corrected(corrections(time_offset_s=0.004, x_rad=0.002), CERTAIN, PARAMETERS, TEST)
+    first = PRIOR.corrected(corrections(time_offset_s=0.004, x_rad=0.002), CERTAIN, PARAMETERS, TEST, is_complete=True)
     assert first is not None
     np.testing.assert_array_equal(first.applied, corrections(time_offset_s=0.004))
     assert first.follows.tolist() == [True] + [False] * 12
-    second = first.corrected(corrections(time_offset_s=0.0041, x_rad=0.03), CERTAIN, PARAMETERS, TEST)
+    second = first.corrected(
+        corrections(time_offset_s=0.0041, x_rad=0.015), CERTAIN, PARAMETERS, TEST, is_complete=True
+    )
     assert second is not None
-    np.testing.assert_array_equal(second.applied, corrections(time_offset_s=0.0041, x_rad=0.03))
-    np.testing.assert_allclose(second.newest_change, corrections(time_offset_s=0.0001, x_rad=0.03), atol=1e-12)
-    assert second.corrected(second.applied, CERTAIN, PARAMETERS, TEST) is None
+    np.testing.assert_array_equal(second.applied, corrections(time_offset_s=0.0041, x_rad=0.015))
+    np.testing.assert_allclose(second.newest_change, corrections(time_offset_s=0.0001, x_rad=0.015), atol=1e-12)
+    assert second.corrected(second.applied, CERTAIN, PARAMETERS, TEST, is_complete=True) is None
 
 
 @pytest.mark.parametrize(("sigmas", "is_applied"), [(2.9, False), (3.1, True)])
 def test_a_first_correction_exceeds_three_standard_deviations(sigmas: float, is_applied: bool) -> None:
     covariance = CERTAIN.copy()
     covariance[0, 0] = (0.004 / sigmas) ** 2
-    corrected = PRIOR.corrected(corrections(time_offset_s=0.004), covariance, PARAMETERS, TEST)
+    corrected = PRIOR.corrected(corrections(time_offset_s=0.004), covariance, PARAMETERS, TEST, is_complete=True)
     assert (corrected is not None) == is_applied
-    from_rest = SignificanceTest.of_window(CONFIG, 1, begins_stationary=True, is_complete=True)
-    assert PRIOR.corrected(corrections(time_offset_s=0.004), covariance, PARAMETERS, from_rest) is None
+    from_rest, mean = replace(TEST, min_sigmas=STATIONARY_SIGMAS), corrections(time_offset_s=0.004)
+    assert PRIOR.corrected(mean, covariance, PARAMETERS, from_rest, is_complete=True) is None
 
 
 def test_intrinsics_are_corrected_by_complete_windows_only() -> None:
@@ -103,18 +105,42 @@ def test_intrinsics_are_corrected_by_complete_windows_only() -> None:
         SignificanceTest.of_window(CONFIG, 1, begins_stationary=True, is_complete=is_complete)
         for is_complete in (True, False)
     )
-    by_whole, by_part = (PRIOR.corrected(mean, CERTAIN, PARAMETERS, test) for test in (whole, part))
+    by_whole, by_part = (PRIOR.corrected(mean, CERTAIN, PARAMETERS, test, is_complete=True) for test in (whole, part))
     assert by_whole is not None and by_part is not None
     np.testing.assert_array_equal(by_whole.applied, mean)
     np.testing.assert_array_equal(by_part.applied, corrections(time_offset_s=0.004))
 
 
+def test_a_correction_beyond_the_prior_refutes_it() -> None:
+    """The prior draws a focal length that is 6 % off, by a window with a standard deviation of 1 %, to 4.8 %.
+
+    Its standard deviation becomes 4.8 % instead of 2 %. One correction within the prior stays, and one that is not
+    applied does.
+    """
+    covariance, mean = np.diag(PARAMETERS.sigmas**2), np.zeros(13)
+    covariance[[9, 10, 12], [9, 10, 12]] = 1.0 / (0.02**-2 + 0.01**-2), 1e-8, 1e-8
+    mean[[9, 10, 12]] = 0.048, 0.009, 0.004
+    found = PRIOR.corrected(mean, covariance, PARAMETERS, TEST, is_complete=True)
+    assert found is not None
+    expected_variance = 1.0 / (0.048**-2 + 0.01**-2)
+    expected = mean.copy()
+    expected[9] = expected_variance * 0.06 * 0.01**-2
+    np.testing.assert_allclose(found.mean, expected, atol=1e-12)
+    np.testing.assert_allclose(found.covariance[9, 9], expected_variance)
+    np.testing.assert_allclose(np.delete(np.diag(found.covariance), 9), np.delete(np.diag(covariance), 9))
+    expected[12] = 0.0
+    np.testing.assert_allclose(found.applied, expected, atol=1e-12)
+    np.testing.assert_array_equal(found.newest_change, found.applied)
+    part = PRIOR.corrected(mean, covariance, PARAMETERS, TEST, is_complete=False)
+    assert part is not None and not part.mean.any()
+
+
 def test_an_implausible_correction_is_remembered() -> None:
-    wrong = PRIOR.corrected(corrections(time_offset_s=0.051), CERTAIN, PARAMETERS, TEST)
+    wrong = PRIOR.corrected(corrections(time_offset_s=0.051), CERTAIN, PARAMETERS, TEST, is_complete=True)
     assert wrong is not None and not wrong.is_plausible
-    later = wrong.corrected(corrections(time_offset_s=0.049), CERTAIN, PARAMETERS, TEST)
+    later = wrong.corrected(corrections(time_offset_s=0.049), CERTAIN, PARAMETERS, TEST, is_complete=True)
     assert later is not None and not later.is_plausible
-    plausible = PRIOR.corrected(corrections(time_offset_s=0.049), CERTAIN, PARAMETERS, TEST)
+    plausible = PRIOR.corrected(corrections(time_offset_s=0.049), CERTAIN, PARAMETERS, TEST, is_complete=True)
     assert plausible is not None and plausible.is_plausible
 
 

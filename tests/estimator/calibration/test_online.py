@@ -343,7 +343,9 @@ def test_the_smallest_rotation_is_that_of_each_camera(cameras: int, share: float
     parameters = ParameterTable.of(config, cameras)
     from_rest = SignificanceTest.of_window(config, cameras, begins_stationary=True, is_complete=True)
     mean = turned_alike(cameras, share * config.rotation.min_correction)
-    corrected = ParameterEstimate.prior(parameters).corrected(mean, 1e-12 * np.eye(len(mean)), parameters, from_rest)
+    corrected = ParameterEstimate.prior(parameters).corrected(
+        mean, 1e-12 * np.eye(len(mean)), parameters, from_rest, is_complete=True
+    )
     assert (corrected is not None) == applied
 
 
@@ -356,7 +358,7 @@ def test_first_rotation_by_windows_in_motion_is_larger(cameras: int) -> None:
     certain = 1e-12 * np.eye(len(parameters.sigmas))
 
     def corrected(estimate: ParameterEstimate, rotation_rad: float) -> ParameterEstimate | None:
-        return estimate.corrected(turned_alike(cameras, rotation_rad), certain, parameters, in_motion)
+        return estimate.corrected(turned_alike(cameras, rotation_rad), certain, parameters, in_motion, is_complete=True)
 
     first = config.min_motion_correction
     assert corrected(ParameterEstimate.prior(parameters), 0.95 * first) is None
