@@ -12,7 +12,7 @@ Readings at the limit of the range are left to `dronevio.estimator.imu.saturatio
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.arrays import Array
+from dronevio.models.arrays import Array, median
 from dronevio.models.imu import ImuModel, ImuSamples
 
 MAX_RUN = 3
@@ -126,7 +126,7 @@ class OutlierFilter:
         self._last, self._in_block = values[-1], (self._in_block + len(values)) % BLOCK
         if self._in_block == 0:
             known = self._medians[np.isfinite(self._medians).all(axis=1)]
-            self._medians = np.concatenate([known, np.median(self._differences, axis=0)[None]])[-BLOCKS:]
+            self._medians = np.concatenate([known, median(self._differences)[None]])[-BLOCKS:]
 
     def _run(self, values: Array) -> int | None:
         """Return the number of outliers at the beginning of readings (N, 2, 3), or None where later ones decide."""
