@@ -49,8 +49,8 @@ class LocalRotation:
         first = rates_before[:1] if len(rates_before) else rates_after[:1]
         last = rates_after[-1:] if len(rates_after) else rates_before[-1:]
         held = np.full(min(len(first), 1), EXTRAPOLATION_S)
-        past_s, past = np.append(before.dt_s[::-1], held), np.vstack([rates_before[::-1], first])
-        future_s, future = np.append(after.dt_s, held), np.vstack([rates_after, last])
+        past_s, past = np.concatenate([before.dt_s[::-1], held]), np.concatenate([rates_before[::-1], first])
+        future_s, future = np.concatenate([after.dt_s, held]), np.concatenate([rates_after, last])
         t_s = np.concatenate([-np.cumsum(past_s)[::-1], [0.0], np.cumsum(future_s)])
         Rs_past = integrated_rotations(-past * past_s[:, None])[1:]
         Rs_frame_t = np.concatenate([Rs_past[::-1], integrated_rotations(future * future_s[:, None])])
@@ -121,7 +121,7 @@ class ExposureCompensation:
         self._image_delays_s = image_delays_s
         self._last, self._frame_interval_s = self._now, float(before.dt_s.sum())
         self._increments, self._gyro_bias_rad_s, self._local_rotation = (before, after), gyro_bias_rad_s, None
-        near = np.vstack([before.accel_m_s2[-ACCEL_SAMPLES:], after.accel_m_s2[:ACCEL_SAMPLES]])
+        near = np.concatenate([before.accel_m_s2[-ACCEL_SAMPLES:], after.accel_m_s2[:ACCEL_SAMPLES]])
         self._accel_m_s2 = near.mean(axis=0) if len(near) else np.zeros(3)
 
     @property
