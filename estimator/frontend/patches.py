@@ -108,7 +108,7 @@ class Patches:
         """(N,) Ratio of the current size of each patch to its size in the reference frame."""
         return _scale(self.warp)
 
-    def __getitem__(self, rows: npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> Self:
+    def __getitem__(self, rows: slice | npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> Self:
         return type(self)(self.templates, self.rows[rows], self.warp[rows])
 
     def rolled(self, R_cur_prev: Array) -> Self:
