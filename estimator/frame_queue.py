@@ -58,9 +58,9 @@ class SampleQueue:
         Raises:
             ConfigError: They are not later than the last ones, or differ in `ImuSamples.sampling`.
         """
-        if self._received and len(samples):
-            self._received[-1][-1:].extended(samples[:1])
         if len(samples):
+            if self._received:
+                self._received[-1].check_order(samples)
             self._received.append(samples)
 
     def take(self, frame: CameraFrame) -> ImuSamples | None:

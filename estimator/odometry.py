@@ -68,7 +68,7 @@ class VisualInertialOdometry:
         """
         check_imu(samples)
         self._parts.samples.add(samples)
-        self._parts.imu_rate.push(self._parts.outliers.add(samples))
+        self._parts.imu_rate.push(samples)
 
     @single_threaded()
     def add_frame(self, frame: CameraFrame) -> Estimate:

@@ -38,8 +38,6 @@ class OdometryParts:
     """Frames that wait for the IMU samples of their exposure."""
     samples: SampleQueue
     """IMU samples that wait for a frame."""
-    outliers: OutlierFilter
-    """Leaves out outlying samples of the output at the rate of the IMU, which does not wait."""
     pipeline: MeasurementPipeline
     """Makes packets of the measurements."""
     calibrator: Calibrator
@@ -51,7 +49,8 @@ class OdometryParts:
     publisher: Publisher
     """Makes the published estimates."""
     imu_rate: ImuRatePropagator
-    """Propagates the published states at the rate of the IMU."""
+    """Propagates the published states at the rate of the IMU. It has a filter of outliers of its own, since it does not
+    wait for frames."""
     observer: KeyframeObserver | None
     """Receives the keyframes."""
 
@@ -64,13 +63,12 @@ class OdometryParts:
             config,
             FrameQueue(),
             SampleQueue(rig),
-            OutlierFilter(rig.imu),
             MeasurementPipeline(rig, config, front_end or RigTracker(rig, c.tracker)),
             Calibrator(rig, c.calibration, c.gravity_m_s2),
             ImuNoiseEstimator(rig.imu, c.preintegration, c.noise, c.gravity_m_s2),
             KeyframePolicy(c.keyframe),
             Publisher(c.initialization, c.health, rig.imu.rate_hz),
-            ImuRatePropagator(rig.imu, c.preintegration, c.gravity_m_s2),
+            ImuRatePropagator(rig.imu, c.preintegration, c.gravity_m_s2, OutlierFilter(rig.imu)),
             observer,
         )
 

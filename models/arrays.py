@@ -1,4 +1,4 @@
-"""Types of arrays. Shapes and units are in the docstrings of what has them."""
+"""Types of arrays, and a fast median. Shapes and units are in the docstrings of what has them."""
 
 import numpy as np
 import numpy.typing as npt
@@ -13,3 +13,9 @@ Mask = npt.NDArray[np.bool_]
 """Whether something holds, for each element."""
 Image = npt.NDArray[np.uint8]
 """(H, W) Grey or (H, W, 3) colour image."""
+
+
+def median(values: Array) -> Array:
+    """Return the median (…) of some hundred finite values (N, …), N > 0, several times as fast as `numpy.median`."""
+    half, ordered = len(values) // 2, np.sort(values, axis=0)
+    return np.asarray(ordered[half] if len(values) % 2 else 0.5 * (ordered[half - 1] + ordered[half]))

@@ -52,10 +52,9 @@ class ImuSamples:
             ConfigError: A field is no array of numbers, time stamps are not whole numbers or do not increase, or the
                 shapes do not match.
         """
-        for name in ("t_ns", "gyro_rad_s", "accel_m_s2"):
-            if not isinstance(getattr(self, name), np.ndarray):
-                found = type(getattr(self, name)).__name__
-                raise ConfigError(f"ImuSamples.{name} of type {found}; expected an array of NumPy")
+        for name, values in (("t_ns", self.t_ns), ("gyro_rad_s", self.gyro_rad_s), ("accel_m_s2", self.accel_m_s2)):
+            if not isinstance(values, np.ndarray):
+                raise ConfigError(f"ImuSamples.{name} of type {type(values).__name__}; expected an array of NumPy")
         if self.t_ns.dtype.kind != "i":
             raise ConfigError(f"ImuSamples.t_ns of type {self.t_ns.dtype}; expected whole nanoseconds, int64")
         if self.gyro_rad_s.dtype.kind not in "fiu" or self.accel_m_s2.dtype.kind not in "fiu":
@@ -68,8 +67,8 @@ class ImuSamples:
                 f"IMU batch with shapes {self.t_ns.shape}, {self.gyro_rad_s.shape}, {self.accel_m_s2.shape};"
                 " expected (N,), (N, 3), (N, 3)"
             )
-        if n > 1 and not np.all(np.diff(self.t_ns) > 0):
-            row = int(np.flatnonzero(np.diff(self.t_ns) <= 0)[0])
+        if n > 1 and not (is_later := self.t_ns[1:] > self.t_ns[:-1]).all():
+            row = int(is_later.argmin())
             is_equal = self.t_ns[row + 1] == self.t_ns[row]
             raise ConfigError(
                 f"IMU batch whose time stamps do not increase: {self.t_ns[row + 1]} ns after {self.t_ns[row]} ns;"
@@ -96,6 +95,15 @@ class ImuSamples:
         """Return the samples at ``t_ns`` or earlier."""
         return self[: int(np.searchsorted(self.t_ns, t_ns, side="right"))]
 
+    def check_order(self, later: Self) -> None:
+        """Check that another batch can follow this one; neither is empty.
+
+        Raises:
+            ConfigError: The batches differ in `sampling`, or the other one does not begin later.
+        """
+        if self.sampling != later.sampling or later.t_ns[0] <= self.t_ns[-1]:
+            self[-1:].extended(later[:1])
+
     def extended(self, later: Self) -> Self:
         """Return this batch followed by a later one.
 
@@ -111,6 +119,8 @@ class ImuSamples:
         Raises:
             ConfigError: The batches differ in `sampling`, or their time stamps do not increase.
         """
+        if len(batches) == 1:
+            return batches[0]
         samplings = list(dict.fromkeys(batch.sampling for batch in batches if len(batch)))
         if len(samplings) > 1:
             found = " and ".join(map(repr, samplings))
@@ -131,7 +141,7 @@ class ImuSamples:
         """
         if self.sampling == "increment":
             return self
-        dt_s = (np.diff(self.t_ns) * 1e-9)[:, None]
+        dt_s = ((self.t_ns[1:] - self.t_ns[:-1]) * 1e-9)[:, None]
         gyro = 0.5 * (self.gyro_rad_s[1:] + self.gyro_rad_s[:-1])
         R_start_end = exp_so3(gyro * dt_s)
         accel_end = np.einsum("nij,nj->ni", R_start_end, self.accel_m_s2[1:])

@@ -119,9 +119,13 @@ def received_count(imu_t_ns: Times, t_ns: int, rate_hz: float) -> int:
         rate_hz: Nominal rate of the IMU [Hz].
     """
     count = int(np.searchsorted(imu_t_ns, t_ns, side="left"))
+    if count == len(imu_t_ns):
+        return count
+    wait_ns = int(imu_t_ns[count]) - t_ns
+    if wait_ns <= MAX_WAIT_INTERVALS * (1e9 / rate_hz):
+        return count + 1
     recent_ns = np.diff(imu_t_ns[max(count - RECENT_SAMPLES, 0) : count])
-    interval_ns = max(1e9 / rate_hz, float(np.median(recent_ns)) if len(recent_ns) else 0.0)
-    arrives = count < len(imu_t_ns) and int(imu_t_ns[count]) - t_ns <= MAX_WAIT_INTERVALS * interval_ns
+    arrives = len(recent_ns) > 0 and wait_ns <= MAX_WAIT_INTERVALS * float(np.median(recent_ns))
     return count + arrives
 
 

@@ -103,7 +103,7 @@ def log_so3(R: Array) -> Array:
     """Return the rotation vectors (…, 3) [rad], of length ≤ π, of rotation matrices (…, 3, 3)."""
     q = quat_wxyz_from_matrix(R)
     w, v = q[..., :1], q[..., 1:]
-    n = np.linalg.norm(v, axis=-1, keepdims=True)
+    n = np.sqrt(np.add.reduce(v * v, axis=-1, keepdims=True))
     # 2 atan2(|v|, w) / |v| → 2 / w as |v| → 0
     scale = np.where(
         n < _SMALL_ANGLE_RAD, 2.0 / np.where(w == 0.0, 1.0, w), 2.0 * np.arctan2(n, w) / np.where(n == 0.0, 1.0, n)
@@ -117,6 +117,18 @@ def quat_wxyz_from_matrix(R: Array) -> Array:
     The function selects the best conditioned of Shepperd's four forms (1978).
     """
     R = np.asarray(R, dtype=np.float64)
+    if R.ndim == 2:  # several times as fast without arrays
+        (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+        wx, wy, wz, xy, xz, yz = h - f, c - g, d - b, d + b, c + g, h + f
+        four = (
+            (1 + a + e + i, wx, wy, wz),
+            (wx, 1 + a - e - i, xy, xz),
+            (wy, xy, 1 - a + e - i, yz),
+            (wz, xz, yz, 1 - a - e + i),
+        )
+        w, x, y, z = four[max(range(4), key=lambda k: four[k][k])]
+        norm = math.sqrt(w * w + x * x + y * y + z * z)
+        return np.array([w, x, y, z]) / (-norm if w < 0.0 else norm)
     m00, m11, m22 = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
     forms = np.empty((*R.shape[:-2], 4, 4))
     forms[..., 0, 0], forms[..., 1, 1] = 1 + m00 + m11 + m22, 1 + m00 - m11 - m22

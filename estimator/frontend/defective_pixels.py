@@ -24,6 +24,8 @@ MAX_SHARE = 0.01
 """Largest share of differing pixels in an image that is examined; where there are more, other causes prevail."""
 SIDE_PX = 3
 """Side of the neighbourhood of a pixel [px]."""
+NEIGHBOURS = SIDE_PX**2 - 1
+"""Number of neighbours of a pixel."""
 
 
 class DefectivePixels:
@@ -32,6 +34,7 @@ class DefectivePixels:
     def __init__(self) -> None:
         """Begin without a known defect."""
         self._pixels: Integers = np.zeros(0, np.int64)  # known defects, as indices of the flattened image, sorted
+        self._neighbours: Integers = np.zeros((0, NEIGHBOURS), np.int64)  # of each, likewise
         self._suspects: Integers = np.zeros(0, np.int64)  # sorted
         self._counts: Integers = np.zeros(0, np.int64)  # number of successive images in which each suspect differs
         self._R_cur_last, self._frames = np.eye(3), MIN_FRAMES  # since the last examined image
@@ -51,14 +54,10 @@ class DefectivePixels:
         self._R_cur_last, self._frames = R_cur_prev @ self._R_cur_last, self._frames + 1
         if image is None or not len(self._pixels):
             return image
-        height, width = image.shape
-        rows, columns = np.divmod(self._pixels, width)
-        down, right = (d.ravel() for d in np.mgrid[-1:2, -1:2])
-        around = (down != 0) | (right != 0)
-        near_rows = np.clip(rows[:, None] + down[around], 0, height - 1)
-        near_columns = np.clip(columns[:, None] + right[around], 0, width - 1)
         repaired = image.copy()
-        repaired[rows, columns] = np.median(image[near_rows, near_columns], axis=1)
+        flat = repaired.reshape(-1)
+        middle = np.sort(flat[self._neighbours], axis=1)[:, NEIGHBOURS // 2 - 1 : NEIGHBOURS // 2 + 1]
+        flat[self._pixels] = middle.mean(axis=1)  # the median
         return repaired
 
     def examine(self, image: Image) -> None:
@@ -77,5 +76,15 @@ class DefectivePixels:
             row = np.minimum(np.searchsorted(self._suspects, deviating), len(self._suspects) - 1)
             counts += np.where(self._suspects[row] == deviating, self._counts[row], 0)
         defective = counts >= MIN_IMAGES
-        self._pixels = np.union1d(self._pixels, deviating[defective])
         self._suspects, self._counts = deviating[~defective], counts[~defective]
+        if defective.any():
+            self._pixels = np.union1d(self._pixels, deviating[defective])
+            self._neighbours = _neighbours(self._pixels, image.shape)
+
+
+def _neighbours(pixels: Integers, shape: tuple[int, ...]) -> Integers:
+    """Return the neighbours (N, 8) of pixels (N,) in an image, all as indices of the flattened image."""
+    (height, width), (rows, columns) = shape, np.divmod(pixels, shape[1])
+    down, right = (np.delete(offsets.ravel(), NEIGHBOURS // 2) for offsets in np.mgrid[-1:2, -1:2])
+    near_rows = np.clip(rows[:, None] + down, 0, height - 1)
+    return np.asarray(near_rows * width + np.clip(columns[:, None] + right, 0, width - 1))

@@ -39,7 +39,7 @@ def track(source: Image, target: Image, pixels: Array, start: Array, window_px: 
         winSize=(window_px, window_px),
         maxLevel=levels,
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, MAX_ITERATIONS, MIN_STEP_PX),
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW | cv2.OPTFLOW_LK_GET_MIN_EIGENVALS,  # errors, which cost time, otherwise
     )
     return tracked.reshape(-1, 2).astype(np.float64), status[:, 0] == 1
 

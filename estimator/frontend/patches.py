@@ -108,8 +108,8 @@ class Patches:
         """(N,) Ratio of the current size of each patch to its size in the reference frame."""
         return _scale(self.warp)
 
-    def __getitem__(self, rows: npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> Self:
-        return replace(self, rows=self.rows[rows], warp=self.warp[rows])
+    def __getitem__(self, rows: slice | npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> Self:
+        return type(self)(self.templates, self.rows[rows], self.warp[rows])
 
     def rolled(self, R_cur_prev: Array) -> Self:
         """Return the patches with the warp predicted for a rotation of the camera about its optical axis.
@@ -158,6 +158,7 @@ class PatchAligner:
     def __init__(self, config: PatchConfig) -> None:
         self._config = config
         self._grid = _grid(config.side_px)  # (2, P)
+        self._surroundings = _grid(config.side_px + 2)  # with one pixel around the patch, for central differences
 
     def scale_space(self, image: Image) -> ScaleSpace:
         """Return an image (H, W) blurred once for each of the configured scales."""
@@ -176,8 +177,7 @@ class PatchAligner:
     def extract(self, image: ScaleSpace, pixels: Array) -> Patches:
         """Return the patches around pixels (N, 2) of an image, with identity warps."""
         c, n = self._config, len(pixels)
-        side = c.side_px + 2  # the patch with one pixel around it, for central differences
-        surroundings = self._sampled(image, pixels, grid=_grid(side)).reshape(n, side, side)
+        surroundings = self._sampled(image, pixels, grid=self._surroundings).reshape(n, c.side_px + 2, c.side_px + 2)
         template, norm = _normalized(surroundings[:, 1:-1, 1:-1].reshape(n, c.side_px**2))
         gradient_x = 0.5 * (surroundings[:, 1:-1, 2:] - surroundings[:, 1:-1, :-2]).reshape(n, c.side_px**2)
         gradient_y = 0.5 * (surroundings[:, 2:, 1:-1] - surroundings[:, :-2, 1:-1]).reshape(n, c.side_px**2)
@@ -211,7 +211,7 @@ class PatchAligner:
             elapsed_s: Time since the image of the predicted warps [s].
         """
         # Hessian with the prior on the change of the warp
-        c, warp, inverse_predicted = self._config, patches.warp, _inverse(patches.warp)
+        c, warp = self._config, patches.warp
         templates, rows = patches.templates, patches.rows
         values, norm = templates.values[rows], templates.norm[rows]
         prior_weight = templates.prior_weight[rows] * np.float32(WALK_S / elapsed_s)
@@ -219,11 +219,13 @@ class PatchAligner:
         H[:, WARP, WARP] += prior_weight[:, None]
         # Inverse compositional Gauss-Newton
         difference = np.zeros_like(templates.values)  # of all templates, whose largest array is not copied then
-        for _ in range(c.iterations if iterations is None else iterations):
+        for iteration in range(c.iterations if iterations is None else iterations):
             current, _ = _normalized(self._sampled(image, pixels, warp))
             difference[rows] = current - values
             gradient = (templates.steepest_descent @ difference[:, :, None])[rows, :, 0]
-            gradient[:, 2:] += prior_weight[:, None] * (inverse_predicted @ warp - np.eye(2)).reshape(-1, 4)
+            if iteration:  # the warp differs from the predicted one
+                change = _inverse(patches.warp) @ warp - np.eye(2)
+                gradient[:, 2:] += prior_weight[:, None] * change.reshape(-1, 4)
             step = np.linalg.solve(H, gradient[..., None])[..., 0].astype(np.float64)
             warp_step = np.clip(step[:, 2:], -MAX_WARP_STEP, MAX_WARP_STEP).reshape(-1, 2, 2)
             warp = warp @ _inverse(np.eye(2) + warp_step)
@@ -246,8 +248,9 @@ class PatchAligner:
         level = np.abs(_scale(warp)[:, None] - self._config.scales).argmin(axis=1)
         centre = np.clip(pixels, -MAX_COORDINATE_PX, MAX_COORDINATE_PX).astype(np.float32)
         axes = warp.astype(np.float32)
-        x = axes[:, 0] @ grid + centre[:, :1]
-        y = axes[:, 1] @ grid + centre[:, 1:]
+        x, y = axes[:, 0] @ grid, axes[:, 1] @ grid
+        x += centre[:, :1]
+        y += centre[:, 1:]
         np.clip(y, -MARGIN_PX, image.height - MARGIN_PX - 1, out=y)
         y += (MARGIN_PX + level * image.height).astype(np.float32)[:, None]
         return np.asarray(cv2.remap(image.stack, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
@@ -258,10 +261,10 @@ def noise_sigma(image: Image) -> float:
 
     The estimate is the median absolute difference of horizontal neighbours, scaled to a normal distribution.
     """
-    rows = image[::NOISE_ROW_STRIDE].astype(np.int16)
-    differences = np.bincount(np.abs(rows[:, 1:] - rows[:, :-1]).ravel(), minlength=256)
-    median = float(np.searchsorted(np.cumsum(differences), 0.5 * differences.sum()))
-    return float(median / (MEDIAN_OVER_SIGMA * np.sqrt(2.0)))
+    rows = image[::NOISE_ROW_STRIDE]
+    differences = cv2.absdiff(rows[:, 1:], rows[:, :-1])
+    counts = np.cumsum(cv2.calcHist([differences], [0], None, [256], [0, 256]), dtype=np.float64)
+    return float(np.searchsorted(counts, 0.5 * counts[-1]) / (MEDIAN_OVER_SIGMA * np.sqrt(2.0)))
 
 
 def _grid(side_px: int) -> Array32:
@@ -289,5 +292,6 @@ def _inverse(warp: Array) -> Array:
 def _normalized(values: Array32) -> tuple[Array32, Array32]:
     """Return values (N, P) with zero mean and unit norm along P, and the norms (N,) before the division."""
     values = values - values.mean(axis=1, keepdims=True)
-    norm = np.maximum(np.linalg.norm(values, axis=1), MIN_NORM)
-    return values / norm[:, None], norm
+    norm = np.maximum(np.sqrt(np.add.reduce(values * values, axis=1)), MIN_NORM)  # faster than `numpy.linalg.norm`
+    values /= norm[:, None]
+    return values, norm

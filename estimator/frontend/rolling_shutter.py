@@ -17,7 +17,7 @@ from dronevio.estimator.imu.buffer import NO_INCREMENTS, Increments
 from dronevio.estimator.types import Calibration, Matches, Observations, common_rows
 from dronevio.models.arrays import Array, Integers
 from dronevio.models.imu import GRAVITY_M_S2
-from dronevio.models.rotation import exp_so3, integrated_rotations, log_so3, pose_matrix
+from dronevio.models.rotation import cumulative_rotations, exp_so3, log_so3, pose_matrix
 from dronevio.models.state import Estimate
 
 EXTRAPOLATION_S = 0.1  # beyond the measured motion, the angular velocity is held for this time [s]
@@ -49,12 +49,12 @@ class LocalRotation:
         first = rates_before[:1] if len(rates_before) else rates_after[:1]
         last = rates_after[-1:] if len(rates_after) else rates_before[-1:]
         held = np.full(min(len(first), 1), EXTRAPOLATION_S)
-        past_s, past = np.append(before.dt_s[::-1], held), np.vstack([rates_before[::-1], first])
-        future_s, future = np.append(after.dt_s, held), np.vstack([rates_after, last])
+        past_s, past = np.concatenate([before.dt_s[::-1], held]), np.concatenate([rates_before[::-1], first])
+        future_s, future = np.concatenate([after.dt_s, held]), np.concatenate([rates_after, last])
         t_s = np.concatenate([-np.cumsum(past_s)[::-1], [0.0], np.cumsum(future_s)])
-        Rs_past = integrated_rotations(-past * past_s[:, None])[1:]
-        Rs_frame_t = np.concatenate([Rs_past[::-1], integrated_rotations(future * future_s[:, None])])
-        return cls(t_s, log_so3(Rs_frame_t))
+        steps = exp_so3(np.concatenate([-past * past_s[:, None], future * future_s[:, None]]))
+        Rs_past, Rs_future = cumulative_rotations(steps[: len(past)]), cumulative_rotations(steps[len(past) :])
+        return cls(t_s, log_so3(np.concatenate([Rs_past[::-1], np.eye(3)[None], Rs_future])))
 
     @cached_property
     def angular_velocity_rad_s(self) -> Array:
@@ -121,7 +121,7 @@ class ExposureCompensation:
         self._image_delays_s = image_delays_s
         self._last, self._frame_interval_s = self._now, float(before.dt_s.sum())
         self._increments, self._gyro_bias_rad_s, self._local_rotation = (before, after), gyro_bias_rad_s, None
-        near = np.vstack([before.accel_m_s2[-ACCEL_SAMPLES:], after.accel_m_s2[:ACCEL_SAMPLES]])
+        near = np.concatenate([before.accel_m_s2[-ACCEL_SAMPLES:], after.accel_m_s2[:ACCEL_SAMPLES]])
         self._accel_m_s2 = near.mean(axis=0) if len(near) else np.zeros(3)
 
     @property

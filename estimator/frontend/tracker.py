@@ -7,7 +7,7 @@ not consistent with one rigid motion.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import count, islice
 from typing import Annotated, Self
 
@@ -75,7 +75,9 @@ class _Features:
     patches: Patches
 
     def __getitem__(self, rows: slice | npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> Self:
-        return type(self)(*(getattr(self, each.name)[rows] for each in fields(self)))
+        return type(self)(
+            self.ids[rows], self.ages[rows], self.pixels[rows], self.xy[rows], self.zncc[rows], self.patches[rows]
+        )
 
     def joined(self, others: Self) -> Self:
         """Return these features followed by others."""

@@ -118,9 +118,9 @@ class ImuBuffer:
         samples = self._outliers.add(samples)
         self._gyro_limit.update(samples.gyro_rad_s)
         self._accel_limit.update(samples.accel_m_s2)
-        if self._received and len(samples):
-            self._received[-1][-1:].extended(samples[:1])  # raises an error if they are not later
         if len(samples):
+            if self._received:
+                self._received[-1].check_order(samples)
             self._received.append(samples)
         return samples
 
@@ -158,17 +158,18 @@ class ImuBuffer:
         increments = samples.increments()
         start = self._start_ns if self._start_ns is not None else int(samples.t_ns[0])
         last = min(int(np.searchsorted(increments.t_ns, t_ns, side="left")) + 1, len(increments))
-        ends = np.clip(increments.t_ns[:last], start, t_ns)
+        ends = np.minimum(np.maximum(increments.t_ns[:last], start), t_ns)
         gyro, accel = increments.gyro_rad_s[:last], increments.accel_m_s2[:last]
         excess = self._interval_excess(samples)[:last]
         if held and last == len(increments) and (last == 0 or ends[-1] < t_ns):
-            ends = np.append(ends, t_ns)
-            gyro = np.vstack([gyro, samples.gyro_rad_s[-1:]])
-            accel = np.vstack([accel, samples.accel_m_s2[-1:]])
-            excess = np.vstack([excess, self._saturation_sigma(samples[-1:])])
-        dt_s = np.diff(ends, prepend=start) * 1e-9
-        kept = dt_s > 0.0
-        excess = np.where((dt_s > self._longest_s)[:, None], np.maximum(excess, GAP_SIGMA), excess)
+            ends = np.concatenate([ends, [t_ns]])
+            gyro = np.concatenate([gyro, samples.gyro_rad_s[-1:]])
+            accel = np.concatenate([accel, samples.accel_m_s2[-1:]])
+            excess = np.concatenate([excess, self._saturation_sigma(samples[-1:])])
+        dt_s = (ends - np.concatenate([[start], ends[:-1]])) * 1e-9
+        kept, is_gap = dt_s > 0.0, dt_s > self._longest_s
+        if is_gap.any():
+            excess[is_gap] = np.maximum(excess[is_gap], GAP_SIGMA)
         return Increments(dt_s[kept], gyro[kept], accel[kept], excess[kept])
 
     def _interval_excess(self, samples: ImuSamples) -> Array:
@@ -180,4 +181,4 @@ class ImuBuffer:
         """Return the excess standard deviations (N, 6) of samples; zero where they are within the range."""
         gyro = self._gyro_limit.saturation_limits(samples.gyro_rad_s)
         accel = self._accel_limit.saturation_limits(samples.accel_m_s2)
-        return SATURATION_SIGMA * np.hstack([gyro, accel])
+        return SATURATION_SIGMA * np.concatenate([gyro, accel], axis=1)

@@ -14,10 +14,14 @@ import gtsam
 import numpy as np
 
 from dronevio.estimator.imu.buffer import Increments
+from dronevio.estimator.imu.outliers import OutlierFilter
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples
 from dronevio.models.state import Estimate, NavState
+
+TESTED_TOGETHER = 64
+"""Number of samples from which on outliers are removed before a state is requested. It takes less time for many."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +89,11 @@ class ImuRatePropagator:
     """
 
     def __init__(
-        self, imu: ImuModel, config: PreintegrationConfig | None = None, gravity_m_s2: float = GRAVITY_M_S2
+        self,
+        imu: ImuModel,
+        config: PreintegrationConfig | None = None,
+        gravity_m_s2: float = GRAVITY_M_S2,
+        outliers: OutlierFilter | None = None,
     ) -> None:
         """Create a propagator without an estimate.
 
@@ -93,8 +101,11 @@ class ImuRatePropagator:
             imu: Noise of the IMU; states do not depend on it.
             config: Settings of the preintegration.
             gravity_m_s2: Magnitude of gravity [m/s²].
+            outliers: Removes the outliers of the samples; by default none are removed.
         """
         self._params = PreintegrationParams.of(imu, config or PreintegrationConfig(), gravity_m_s2)
+        self._outliers = outliers
+        self._untested: list[ImuSamples] = []  # samples whose outliers have not been removed
         self._received: deque[ImuSamples] = deque()  # samples that are not divided into intervals yet
         self._last: tuple[int, Array, Array] | None = None  # time stamp, gyroscope and accelerometer before them
         self._ahead: deque[_ImuInterval] = deque()  # intervals that are not integrated yet
@@ -118,7 +129,9 @@ class ImuRatePropagator:
     def push(self, samples: ImuSamples) -> None:
         """Add samples later than those before, without integration."""
         if len(samples):
-            self._received.append(samples)
+            (self._received if self._outliers is None else self._untested).append(samples)
+        if sum(map(len, self._untested)) >= TESTED_TOGETHER:
+            self._remove_outliers()
 
     def state_at(self, t_ns: int) -> NavState | None:
         """Return the state at the last sample not after a time, propagated from the newest estimate.
@@ -179,8 +192,17 @@ class ImuRatePropagator:
             dropped = self._received.popleft()
             self._last = int(dropped.t_ns[-1]), dropped.gyro_rad_s[-1], dropped.accel_m_s2[-1]
 
+    def _remove_outliers(self) -> None:
+        """Remove the outliers of the samples since the last call."""
+        if self._outliers is None or not self._untested:
+            return
+        samples, self._untested = self._outliers.add(ImuSamples.concatenated(self._untested)), []
+        if len(samples):
+            self._received.append(samples)
+
     def _divide(self) -> None:
         """Divide the received samples into intervals; `ImuSamples.increments` describes the mean of two points."""
+        self._remove_outliers()
         while self._received:
             samples = self._received.popleft()
             for t_ns, gyro, accel in zip(samples.t_ns.tolist(), samples.gyro_rad_s, samples.accel_m_s2, strict=True):

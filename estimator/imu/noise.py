@@ -182,8 +182,8 @@ class NoiseDensityEstimator:
     def density(self) -> float:
         """Estimated noise density in the unit of the data sheet."""
         c = self._config
-        estimated = np.sqrt(self._squares / self._redundancy)
-        return float(np.clip(estimated, c.min_factor * self._data_sheet, self._largest))
+        estimated = math.sqrt(self._squares / self._redundancy)
+        return float(min(max(estimated, c.min_factor * self._data_sheet), self._largest))
 
     def raise_limit(self, density: float) -> None:
         """Raise the largest possible estimate to another density."""
@@ -293,7 +293,8 @@ class ImuNoiseEstimator:
         Where strong vibration begins, the noise grows at once, and the images show it some seconds later. Until then
         the estimate is what the spectrum suggests.
         """
-        self._floor.add(samples)
+        if not self._floor.add(samples):
+            return
         floor = np.array(self._shown)
         for sensor, limit in zip((self._gyro, self._accel), floor.tolist(), strict=True):
             sensor.raise_limit(limit)

@@ -12,7 +12,7 @@ Readings at the limit of the range are left to `dronevio.estimator.imu.saturatio
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.arrays import Array
+from dronevio.models.arrays import Array, median
 from dronevio.models.imu import ImuModel, ImuSamples
 
 MAX_RUN = 3
@@ -86,7 +86,8 @@ class OutlierFilter:
         """Return the accepted samples among those withheld before and later ones."""
         if self._withheld is not None:
             samples = self._withheld.extended(samples)
-        values, n = np.stack([samples.gyro_rad_s, samples.accel_m_s2], axis=1), len(samples)
+        n = len(samples)
+        values = np.concatenate([samples.gyro_rad_s, samples.accel_m_s2], axis=1).reshape(n, 2, 3)
         is_kept, row = np.ones(n, dtype=bool), 0
         while row < n:
             near = self._accept_near(values[row:])
@@ -100,31 +101,32 @@ class OutlierFilter:
             self._rejected += run
             row += run
             if run == 0:
-                self._accept(values[row : row + 1])
+                self._accept(values[row : row + 1], self._differences_of(values[row : row + 1]))
                 row += 1
         self._withheld = samples[row:] if row < n else None
         if is_kept.all():
-            return samples[:row]
+            return samples if row == n else samples[:row]
         rows = np.flatnonzero(is_kept[:row])
         return ImuSamples(samples.t_ns[rows], samples.gyro_rad_s[rows], samples.accel_m_s2[rows], samples.sampling)
 
     def _accept_near(self, values: Array) -> int:
         """Accept the first of the readings (N, 2, 3), as long as each is near the one before; return their number."""
         values = values[: BLOCK - self._in_block]
-        is_far = (self._differences_of(values) > self._threshold(self._medians.max(axis=0))).any(axis=1)
+        differences = self._differences_of(values)
+        is_far = (differences > self._threshold(self._medians.max(axis=0))).any(axis=1)
         near = int(is_far.argmax()) if is_far.any() else len(values)
-        self._accept(values[:near])
+        self._accept(values[:near], differences[:near])
         return near
 
-    def _accept(self, values: Array) -> None:
-        """Accept readings (N, 2, 3) of one block."""
+    def _accept(self, values: Array, differences: Array) -> None:
+        """Accept readings (N, 2, 3) of one block with their differences (N, 2) to the one before."""
         if not len(values):
             return
-        self._differences = np.concatenate([self._differences, self._differences_of(values)])[-BLOCK:]
+        self._differences = np.concatenate([self._differences, differences])[-BLOCK:]
         self._last, self._in_block = values[-1], (self._in_block + len(values)) % BLOCK
         if self._in_block == 0:
             known = self._medians[np.isfinite(self._medians).all(axis=1)]
-            self._medians = np.concatenate([known, np.median(self._differences, axis=0)[None]])[-BLOCKS:]
+            self._medians = np.concatenate([known, median(self._differences)[None]])[-BLOCKS:]
 
     def _run(self, values: Array) -> int | None:
         """Return the number of outliers at the beginning of readings (N, 2, 3), or None where later ones decide."""

@@ -29,7 +29,7 @@ class SpectralFloor:
         self._values = np.zeros((0, 6))  # of the segment that is not complete
         self._times_ns = np.zeros(0, dtype=np.int64)
         self._powers: tuple[Array, ...] = ()  # (BANDS, 2) of the last segments
-        self._interval_s = 0.0
+        self._interval_s, self._densities = 0.0, (0.0, 0.0)
 
     @property
     def interval_s(self) -> float:
@@ -39,19 +39,21 @@ class SpectralFloor:
     @property
     def densities(self) -> tuple[float, float]:
         """Bounds for gyroscope [rad/s/√Hz] and accelerometer [m/s²/√Hz]; zero before the first `SEGMENT` samples."""
-        if not self._powers:
-            return 0.0, 0.0
-        gyro, accel = np.sqrt(np.mean(self._powers, axis=0).min(axis=0)).tolist()
-        return gyro, accel
+        return self._densities
 
-    def add(self, samples: ImuSamples) -> None:
-        """Add later samples."""
+    def add(self, samples: ImuSamples) -> bool:
+        """Add later samples and return whether they complete a segment, which changes the densities."""
         self._values = np.concatenate([self._values, np.hstack([samples.gyro_rad_s, samples.accel_m_s2])])
         self._times_ns = np.concatenate([self._times_ns, samples.t_ns])
+        is_complete = len(self._values) >= SEGMENT
         while len(self._values) >= SEGMENT:
             self._interval_s = float(np.median(np.diff(self._times_ns[:SEGMENT]))) * 1e-9
             self._powers = (*self._powers, _band_powers(self._values[:SEGMENT], self._interval_s))[-SEGMENTS:]
             self._values, self._times_ns = self._values[SEGMENT:], self._times_ns[SEGMENT:]
+        if is_complete:
+            gyro, accel = np.sqrt(np.mean(self._powers, axis=0).min(axis=0)).tolist()
+            self._densities = gyro, accel
+        return is_complete
 
 
 def _band_powers(values: Array, interval_s: float) -> Array:

@@ -4,11 +4,12 @@ The first initialization is at the origin. After a loss, the odometry continues 
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
-from dronevio.estimator.imu.buffer import Increments
+from dronevio.estimator.imu.buffer import NO_INCREMENTS, Increments
 from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.models.arrays import Array
 from dronevio.models.rotation import pose_matrix, rotation_z, yaw_rad_from_matrix
@@ -100,10 +101,12 @@ class LastPublished:
 
     published: NavState
     """The last published state."""
-    R_world_imu: Array
-    """(3, 3) The published orientation, propagated by the gyroscope."""
-    excess_variance_rad2: float = 0.0
-    """Variance of the rotation since, due to saturation and gaps of the gyroscope [rad²]."""
+    R_world_before: Array
+    """(3, 3) The published orientation, propagated by the gyroscope up to the last increments."""
+    variance_before_rad2: float = 0.0
+    """Variance of the rotation up to there, due to saturation and gaps of the gyroscope [rad²]."""
+    increments: Increments = NO_INCREMENTS
+    """The last increments. They are integrated when this is used: while nothing is lost, the next state replaces it."""
 
     @classmethod
     def of(cls, published: NavState) -> "LastPublished":
@@ -124,10 +127,22 @@ class LastPublished:
 
     def propagated(self, increments: Increments) -> "LastPublished":
         """Return the gauge after the IMU increments since the last call."""
-        R, variance = increments.rotation(self.published.gyro_bias_rad_s), self.excess_variance_rad2
+        return LastPublished(self.published, self.R_world_imu, self.excess_variance_rad2, increments)
+
+    @cached_property
+    def R_world_imu(self) -> Array:
+        """(3, 3) The published orientation, propagated by the gyroscope."""
+        if not len(self.increments.dt_s):
+            return self.R_world_before
+        return self.R_world_before @ self.increments.rotation(self.published.gyro_bias_rad_s)
+
+    @property
+    def excess_variance_rad2(self) -> float:
+        """Variance of the rotation since, due to saturation and gaps of the gyroscope [rad²]."""
+        variance, increments = self.variance_before_rad2, self.increments
         if increments.is_degraded:
             variance += float((increments.dt_s @ increments.excess_density[:, :3]).max())
-        return LastPublished(self.published, self.R_world_imu @ R, variance)
+        return variance
 
     def align(self, start: NavState, since: Increments) -> NavState:
         """Return an initial state at the last position, with the yaw that agrees with the gyroscope at its end."""

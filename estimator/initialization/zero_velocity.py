@@ -7,6 +7,7 @@ import numpy as np
 
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.types import Observations, common_rows
+from dronevio.models.arrays import median
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.ranges import Range, Settings
 
@@ -75,7 +76,7 @@ class ZeroVelocityDetector:
         i, j = common_rows(reference.ids, now.ids)
         if len(i) < self._config.min_features:
             return True
-        flow_px = float(np.median(np.linalg.norm(now.pixels[j] - reference.pixels[i], axis=1)))
+        flow_px = float(median(np.linalg.norm(now.pixels[j] - reference.pixels[i], axis=1)))
         return flow_px > self._config.max_flow_px
 
     def _imu_moves(self) -> bool:

@@ -102,7 +102,7 @@ def _solved(u: Array, v: Array, x: Array, y: Array, coefficients: Coefficients) 
     for _ in range(_ITERATIONS):
         terms = _terms(x, y, coefficients)
         du, dv = (image - target for image, target in zip(_image(x, y, terms, coefficients), (u, v), strict=True))
-        if not (np.any(np.abs(du) > _CONVERGED) or np.any(np.abs(dv) > _CONVERGED)):
+        if not np.any((np.abs(du) > _CONVERGED) | (np.abs(dv) > _CONVERGED)):
             break
         xx, off, yy = _derivatives(x, y, terms, coefficients)
         det = xx * yy - off * off
@@ -195,8 +195,7 @@ def _derivatives(
 
 def _within(x: Array, y: Array, limit: float) -> tuple[Array, Array]:
     """Return points (x, y) with those beyond a radius projected onto the circle of that radius."""
-    r2 = x * x + y * y
-    if not np.any(r2 > limit * limit):
+    if limit == np.inf or not np.any((r2 := x * x + y * y) > limit * limit):
         return x, y
     factor = np.minimum(1.0, limit / np.maximum(np.sqrt(r2), np.finfo(float).tiny))
     return x * factor, y * factor

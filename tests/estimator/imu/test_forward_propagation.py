@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
+from dronevio.estimator.imu.outliers import OutlierFilter
 from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.arrays import Array
@@ -207,6 +208,27 @@ def test_states_at_times_are_those_of_the_samples() -> None:
         state = ahead.state_at(int(samples.t_ns[k]) + STEP_NS // 2)
         assert state is not None and state.t_ns == samples.t_ns[k]
         np.testing.assert_array_equal(state.T_world_imu, expected[k - 5].T_world_imu)
+
+
+def test_outliers_do_not_depend_on_when_states_are_requested() -> None:
+    """They are removed from many samples at once until a state is requested."""
+    samples, T, v, _ = samples_on_circle(401)
+    samples.gyro_rad_s[100::50] += 5.0
+    requested, waiting = (ImuRatePropagator(EUROC_IMU, outliers=OutlierFilter(EUROC_IMU)) for _ in range(2))
+    without = ImuRatePropagator(EUROC_IMU)
+    without.push(OutlierFilter(EUROC_IMU).add(samples))
+    for first in range(0, 401, 5):
+        for propagator in (requested, waiting):
+            propagator.push(samples[first : first + 5])
+        requested.state_at(int(samples.t_ns[first]))
+    for propagator in (requested, waiting, without):
+        propagator.correct(estimate(int(samples.t_ns[300]), T[300], v[300]))
+    last_ns = int(samples.t_ns[395])
+    found, other, expected = (propagator.state_at(last_ns) for propagator in (requested, waiting, without))
+    assert found is not None and other is not None and expected is not None
+    assert found.t_ns == other.t_ns == expected.t_ns == last_ns
+    np.testing.assert_array_equal(found.T_world_imu, expected.T_world_imu)
+    np.testing.assert_array_equal(other.T_world_imu, expected.T_world_imu)
 
 
 def test_gravity_can_be_corrected() -> None:
