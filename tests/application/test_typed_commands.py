@@ -35,7 +35,6 @@ SLOW = (
 NOT_RUN = {
     "make *": "tests of the checkout run its targets",
     "*tools/uv *": "installs packages",
-    "uv tool install *": "installs packages",
     "pip install *": "installs packages",
     "dronevio estimate d435i.bag *": "gyroscope and accelerometer apart: tests/models/test_bag_imu.py reads some",
     "dronevio estimate GOPR0001.MP4 *": "a video with telemetry: tests/models/test_gopro.py reads one",
