@@ -86,7 +86,7 @@ def main(arguments: Sequence[str]) -> int:
         as_root = ["--allow-root"] if os.geteuid() == 0 else []  # as in containers
         server = [sys.executable, "-m", "jupyterlab", "--ip=127.0.0.1", *as_root, str(target)]
         return subprocess.run(server, check=False).returncode
-    again = command_line("book", "open", command.lesson, *(["--out", target] if command.out else []))
+    again = command_line("book", "open", command.lesson, *(["--out", str(target)] if command.out else []))
     print(f"open it:  {again} --lab" if lab else f"to open it, install JupyterLab: {install_command('book')}")
     return 0
 
