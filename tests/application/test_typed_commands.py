@@ -27,8 +27,9 @@ PAGES = {
 QUICK = ("docs/how-to/own-recording.md", "docs/how-to/rerun.md")
 """Pages whose commands take some seconds; those of `SLOW` are run by slow tests."""
 SLOW = (
-    *("README.md", "docs/dense.md", "docs/getting-started.md"),
-    *(f"docs/how-to/{name}.md" for name in ("inspect", "other-programs", "own-metric", "own-scenario", "own-vehicle")),
+    *("README.md", "docs/dense.md", "docs/getting-started.md", "docs/map.md"),
+    *(f"docs/how-to/{name}.md" for name in ("inspect", "other-programs", "own-metric", "own-scenario")),
+    *("docs/how-to/own-vehicle.md", "docs/how-to/tune.md"),
 )
 """Pages whose commands take a minute or two. Those of other pages take longer, and are parsed only."""
 
@@ -68,7 +69,9 @@ INPUTS = {
         *("flight.mcap", "camchain.yaml", "imu.yaml"),
     ),
     "docs/how-to/rerun.md": ("runs/room-v0-0/run.rrd", "recordings/room-v0-3", "estimate.tum", "other.tum"),
+    "docs/how-to/tune.md": ("V1_01_easy",),
     "docs/dense.md": ("photographs",),
+    "docs/map.md": ("MH_01_easy",),
 }
 """Files and folders of the reader that the commands of a page need."""
 
