@@ -176,11 +176,10 @@ def _modules(folder: Path) -> Iterator[Path]:
 def _preface(name: str) -> list[str]:
     return [
         '!!! note "This page is an executed notebook"',
-        "    Work through it with your own changes; JupyterLab opens it after these commands:",
+        "    Work through it with your own changes; in a clone, JupyterLab opens it after this command:",
         "",
         "    ```sh",
-        "    pip install 'dronevio[book]'",
-        f"    dronevio book open {name} --lab",
+        f"    make lesson NAME={name}",
         "    ```",
         "",
     ]

@@ -4,7 +4,6 @@ A lesson is a Python script in Jupytext's percent format, ``dronevio/book/lesson
 """
 
 import os
-import shlex
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from dronevio.cli.terminal import parse, print_table
+from dronevio.cli.terminal import command_line, parse, print_table
 from dronevio.models.errors import ConfigError, unknown_name
 from dronevio.models.extras import install_command
 
@@ -67,7 +66,7 @@ def main(arguments: Sequence[str]) -> int:
     command = parse(OpenCommand, arguments, "book open")
     if command.lesson is None:
         print_table("Lessons", ("name", "content"), list(LESSONS.items()), left=("content",))
-        print("open one: dronevio book open NAME")
+        print(f"open one: {command_line('book', 'open', 'NAME')}")
         return 0
 
     from dronevio.cli.output_files import atomic_file, require_free
@@ -87,7 +86,7 @@ def main(arguments: Sequence[str]) -> int:
         as_root = ["--allow-root"] if os.geteuid() == 0 else []  # as in containers
         server = [sys.executable, "-m", "jupyterlab", "--ip=127.0.0.1", *as_root, str(target)]
         return subprocess.run(server, check=False).returncode
-    again = shlex.join(["dronevio", "book", "open", command.lesson, *(["--out", str(target)] if command.out else [])])
+    again = command_line("book", "open", command.lesson, *(["--out", str(target)] if command.out else []))
     print(f"open it:  {again} --lab" if lab else f"to open it, install JupyterLab: {install_command('book')}")
     return 0
 

@@ -185,10 +185,15 @@ def print_json(document: Mapping[str, object]) -> None:
 def command_line(*words: str | Path) -> str:
     """Return a call of dronevio as it is typed in a shell, with quotation marks where they are needed.
 
+    A program that is not on the PATH, as in an environment that is not active, is named as it was called.
+
     Args:
         words: The words after ``dronevio``.
     """
-    return shlex.join(["dronevio", *map(str, words)])
+    program = "dronevio"
+    if shutil.which(program) is None and Path(sys.argv[0]).name == program:
+        program = sys.argv[0]
+    return shlex.join([program, *map(str, words)])
 
 
 def print_values(title: str, rows: Sequence[tuple[str, str, str]]) -> None:

@@ -97,7 +97,7 @@ class Scores:
     )
     """Error of the accelerometer bias [m/s²]; None if truth or estimate has no biases."""
     coverage_percent: float | None = computed(
-        lambda e: _of_frames(coverage_percent, e), Metric("Coverage", "% of the frames", 1, best="high")
+        lambda e: _of_frames(coverage_percent, e), Metric("Coverage", "% of frames after 3 s", 1, best="high")
     )
     """Share of the frames later than 3 s after the first that have a pose [%]; None without frame times."""
     initialization_s: float | None = computed(

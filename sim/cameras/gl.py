@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-INSTALL_COMMAND = "sudo apt-get install -y libegl1 libgl1-mesa-dri libopengl0"
+_SUDO = "" if os.geteuid() == 0 else "sudo "  # containers have a root and no sudo
+INSTALL_COMMAND = f"{_SUDO}apt-get install -y libegl1 libgl1-mesa-dri libopengl0"
 """Command that installs an OpenGL without display or GPU on Debian and Ubuntu."""
 
 _LIBRARIES = {"egl": ("libEGL.so.1",), "osmesa": ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")}

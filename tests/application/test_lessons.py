@@ -184,7 +184,7 @@ def test_pages_of_an_executed_notebook(script: Any) -> None:
     )
     text, images = lessons.page(notebook, "first")
     assert images == {"first/1.png": b"hello", "first/2.png": b"hello"}
-    assert text.startswith("# Title\n") and "dronevio book open first" in text
+    assert text.startswith("# Title\n") and "make lesson NAME=first" in text
     assert "[`dronevio.models.rotation`][dronevio.models.rotation]" in text and "\n`dronevio.cli`\n" in text
     assert "```{ .text .output }\n1\n```" in text and "<Figure>" not in text
     assert "![a path](first/1.png)" in text and "![](first/2.png)" in text

@@ -9,7 +9,7 @@ import pytest
 from dronevio.cli import main
 from dronevio.cli.commands.benchmark import print_benchmark
 from dronevio.cli.options import Output, OutputOptions, RecordingInput, RecordingOptions
-from dronevio.cli.terminal import parse, print_table, print_values, with_scenario
+from dronevio.cli.terminal import command_line, parse, print_table, print_values, with_scenario
 from dronevio.models.errors import ConfigError
 from tests.rows import row_of
 
@@ -151,3 +151,18 @@ def test_a_first_word_names_the_scenario(words: list[str], expected: list[str]) 
 def test_flights_take_the_scenario_as_a_word(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([command, "rom"]) == 2
     assert "'rom'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("path", "called", "typed"),
+    [("bin", "bin/dronevio", "dronevio"), ("", ".venv/bin/dronevio", ".venv/bin/dronevio"), ("", "pytest", "dronevio")],
+)
+def test_program_of_a_printed_command_is_found(
+    path: str, called: str, typed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "bin" / "dronevio"
+    program.parent.mkdir()
+    program.touch(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path / path))
+    monkeypatch.setattr(sys, "argv", [called])
+    assert command_line("view", Path("a run")) == f"{typed} view 'a run'"

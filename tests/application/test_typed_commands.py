@@ -27,15 +27,15 @@ PAGES = {
 QUICK = ("docs/how-to/own-recording.md", "docs/how-to/rerun.md")
 """Pages whose commands take some seconds; those of `SLOW` are run by slow tests."""
 SLOW = (
-    *("README.md", "docs/dense.md", "docs/getting-started.md"),
-    *(f"docs/how-to/{name}.md" for name in ("inspect", "other-programs", "own-metric", "own-scenario", "own-vehicle")),
+    *("README.md", "docs/dense.md", "docs/getting-started.md", "docs/map.md"),
+    *(f"docs/how-to/{name}.md" for name in ("inspect", "other-programs", "own-metric", "own-scenario")),
+    *("docs/how-to/own-vehicle.md", "docs/how-to/tune.md"),
 )
 """Pages whose commands take a minute or two. Those of other pages take longer, and are parsed only."""
 
 NOT_RUN = {
     "make *": "tests of the checkout run its targets",
     "*tools/uv *": "installs packages",
-    "uv tool install *": "installs packages",
     "pip install *": "installs packages",
     "dronevio estimate d435i.bag *": "gyroscope and accelerometer apart: tests/models/test_bag_imu.py reads some",
     "dronevio estimate GOPR0001.MP4 *": "a video with telemetry: tests/models/test_gopro.py reads one",
@@ -69,7 +69,9 @@ INPUTS = {
         *("flight.mcap", "camchain.yaml", "imu.yaml"),
     ),
     "docs/how-to/rerun.md": ("runs/room-v0-0/run.rrd", "recordings/room-v0-3", "estimate.tum", "other.tum"),
+    "docs/how-to/tune.md": ("V1_01_easy",),
     "docs/dense.md": ("photographs",),
+    "docs/map.md": ("MH_01_easy",),
 }
 """Files and folders of the reader that the commands of a page need."""
 

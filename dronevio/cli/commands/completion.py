@@ -27,7 +27,7 @@ class CompletionCommand:
     Write it to the file that the shell reads, and open a new shell:
 
     Examples:
-      dronevio completion bash > ~/.local/share/bash-completion/completions/dronevio
+      dronevio completion bash > ~/.dronevio-completion; echo "source ~/.dronevio-completion" >> ~/.bashrc
       dronevio completion zsh > ~/.dronevio-completion; echo "source ~/.dronevio-completion" >> ~/.zshrc
       dronevio completion fish > ~/.config/fish/completions/dronevio.fish
     """

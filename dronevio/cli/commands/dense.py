@@ -64,7 +64,7 @@ class DenseCommand(Settings):
     """Folder to make; SCENE/dense by default."""
     format: tuple[Format, ...] = ("ply",)
     """Formats of the surfaces: points and mesh as PLY; the mesh with a texture as GLB or OBJ; the points as LAS or LAZ
-    (which needs dronevio[las]); orthophoto and height map as GeoTIFF (dronevio[geo]), for scenes in metres whose z
+    (which needs the extra las); orthophoto and height map as GeoTIFF (the extra geo), for scenes in metres whose z
     points up."""
     add_to: Path | None = None
     """Result of an earlier `dronevio dense --keep-depths` of some of the images, whose depth maps are used again where

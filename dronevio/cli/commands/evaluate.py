@@ -30,7 +30,7 @@ class EvaluateCommand(Settings):
     Each of the two is a TUM file (rows of t x y z qx qy qz qw, in seconds and metres), a KITTI file (rows of twelve
     numbers), an EuRoC ground truth file (CSV), or a recording: the folder of a data set or a bag. The ground truth is
     interpolated at the time stamps of the estimate and never extrapolated. If it is a recording with images, the
-    coverage is the share of the frames that have a pose.
+    coverage is the share of the frames after 3 s that have a pose.
 
     Examples:
       dronevio evaluate runs/room-v0-0/groundtruth.tum runs/room-v0-0/estimate.tum

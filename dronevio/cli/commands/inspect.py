@@ -33,7 +33,7 @@ class InspectCommand:
     """
 
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
-    """EuRoC folder or ROS bag."""
+    """Folder of EuRoC, TUM-VI, DSO or KITTI, bag of ROS 1 or ROS 2, or GoPro video."""
     out: Path = Path("inspection.html")
     """Page to write, a single file."""
     run: bool = False

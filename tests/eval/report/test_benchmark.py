@@ -246,7 +246,7 @@ def test_markdown_and_latex_have_every_measure_and_failure() -> None:
     markdown, latex = as_markdown(SMALL, chosen), as_latex(SMALL, chosen)
     assert re.findall(r"^\*\*(.*)\*\*$", markdown, re.MULTILINE) == [
         r"ATE, position \[m\]",
-        r"Coverage \[% of the frames\]",
+        r"Coverage \[% of frames after 3 s\]",
         "Failed runs",
     ]
     assert markdown.count("\n| room-v0 |") == 2

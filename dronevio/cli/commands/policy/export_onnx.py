@@ -16,7 +16,7 @@ class ExportCommand:
     """Write a trained policy as an ONNX model, for runtimes on other computers.
 
     The input is an array (n, N) of unscaled observations, concatenated in the order that `dronevio policy show` prints.
-    The output is an array (n, 4) of actions. The package onnx is needed: pip install 'dronevio[onnx]'.
+    The output is an array (n, 4) of actions. The extra onnx is needed.
 
     Examples:
       dronevio policy export-onnx examples/rl/policies/hover.safetensors
