@@ -55,20 +55,16 @@ class Corrections:
         """Return the corrections of the intrinsics of cameras (C,) of which some are fisheyes."""
         return IntrinsicCorrections(self.focal[:, 0], self.principal, self.radial[:, 0], is_fisheye)
 
-    @property
-    def has_intrinsics(self) -> bool:
-        """Whether an intrinsic parameter is corrected."""
-        return any(bool(part.any()) for part in (self.focal, self.principal, self.radial))
-
     def applied_to(self, given: Calibration) -> Calibration:
         """Return a given calibration with the corrections applied."""
         Ts = given.Ts_imu_cam @ pose_matrix(exp_so3(self.rotation_rad), np.zeros_like(self.translation_m))
         Ts[:, :3, 3] += self.translation_m
         cameras = (replace(camera, T_imu_cam=T) for camera, T in zip(given.rig.cameras, Ts, strict=True))
+        has_intrinsics = any(part.any() for part in (self.focal, self.principal, self.radial))
         return Calibration(
             replace(given.rig, cameras=tuple(cameras)),
             self.time_offset_s,
-            self.intrinsics(given.is_fisheye) if self.has_intrinsics else None,
+            self.intrinsics(given.is_fisheye) if has_intrinsics else None,
             self.gravity_m_s2,
         )
 

@@ -12,6 +12,9 @@ from dronevio.models.arrays import Array, Integers
 FIXED_SIGMA = 1e-9
 """Standard deviation of parameters that are known; it keeps the matrices regular."""
 
+REFUTED_SIGMAS = 1.5
+"""Prior standard deviations by which intrinsics change at once if the given ones are very wrong."""
+
 
 @dataclass(frozen=True, eq=False)
 class ParameterGroup:
@@ -72,3 +75,8 @@ class ParameterTable:
     def is_unknown(self) -> npt.NDArray[np.bool_]:
         """(D,) Whether a parameter is an unknown of the adjustments, corrected or not."""
         return self.sigmas > FIXED_SIGMA
+
+    def refutes_intrinsics(self, change: Array) -> bool:
+        """Return whether a change (D,) shows that intrinsics were very wrong."""
+        is_beyond = np.abs(change) > REFUTED_SIGMAS * self.sigmas
+        return any(group.is_intrinsic and bool(is_beyond[group.rows].any()) for group in self.groups)
