@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml as independent
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from dronevio.models.errors import InputError
@@ -168,6 +168,14 @@ maps = st.dictionaries(names, st.one_of(items, lists), max_size=4)
 documents = st.dictionaries(names, st.one_of(items, lists, maps, st.lists(maps, min_size=1, max_size=3)), max_size=4)
 
 
+def _reads_back(text: str, document: dict[str, object]) -> bool:
+    """Return whether PyYAML reads a document back that it has written."""
+    try:
+        return bool(independent.safe_load(text) == document)
+    except independent.YAMLError:
+        return False
+
+
 @settings(max_examples=150, deadline=None)
 @given(
     documents,
@@ -199,7 +207,7 @@ def test_what_pyyaml_writes_in_any_style_is_read(
         indent=indent,
         explicit_start=explicit,
     )
-    assert independent.safe_load(text) == document
+    assume(_reads_back(text, document))  # PyYAML itself fails at some block scalars
     assert read(scratch, text).values == flat(document, "")
 
 
