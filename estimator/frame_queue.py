@@ -40,7 +40,7 @@ class FrameQueue:
 
 
 class SampleQueue:
-    """Returns the IMU samples that a frame follows in `measurements`, which divides a recording likewise."""
+    """Holds back IMU samples later than a frame, which then follows the same samples as in `measurements`."""
 
     def __init__(self, rig: Rig) -> None:
         """Begin without samples.

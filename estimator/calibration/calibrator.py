@@ -27,7 +27,7 @@ class Correction:
     has_kept_window: bool
     """Whether it has kept its window; otherwise it begins at the newest state."""
     corrects_displacement: bool
-    """Whether it begins at a state without errors of the previous calibration, since the vehicle left the ground."""
+    """Whether it begins at a state without errors of the previous calibration; see `OnlineCalibration`."""
     events: tuple[str, ...]
     """What has been corrected, and the cause where that is not plausible, as texts for people."""
 

@@ -13,7 +13,7 @@ FIXED_SIGMA = 1e-9
 """Standard deviation of parameters that are known; it keeps the matrices regular."""
 
 REFUTED_SIGMAS = 1.5
-"""Prior standard deviations by which intrinsics change at once if the given ones are very wrong."""
+"""Prior standard deviations beyond which a change of the intrinsics shows that the given ones were very wrong."""
 
 
 @dataclass(frozen=True, eq=False)
