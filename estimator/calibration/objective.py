@@ -22,7 +22,7 @@ from dronevio.estimator.calibration.window import (
     window_state,
 )
 from dronevio.estimator.optimization.robust import cauchy_inflation, cauchy_loss
-from dronevio.estimator.types import Calibration
+from dronevio.estimator.types import GAUGE_SIGMA, Calibration
 from dronevio.models.arrays import Array, Integers
 from dronevio.models.rotation import exp_so3, log_so3
 from dronevio.models.state import NavState
@@ -330,6 +330,7 @@ def _first_information(config: AdjustmentConfig, first: NavState, *, is_stationa
     information = np.diag(np.repeat(np.array(sigmas) ** -2.0, 3))
     if first.covariance is not None:
         vertical = first.T_world_imu[2, :3]  # in the IMU frame
-        known = 1.0 / (vertical @ first.covariance[:3, :3] @ vertical) - c.orientation_sigma_rad**-2.0
+        variance = max(float(vertical @ first.covariance[:3, :3] @ vertical), GAUGE_SIGMA**2)
+        known = 1.0 / variance - c.orientation_sigma_rad**-2.0
         information[:3, :3] += max(known, 0.0) * np.outer(vertical, vertical)
     return information

@@ -106,6 +106,18 @@ def test_a_corrected_focal_length_mends_the_state_in_motion(make_flight: MakeFli
         variances = [np.trace(f.covariance[6:9, 6:9]) / 3.0 for f in found if f.covariance is not None]
         return np.array(errors), np.sqrt(variances)
 
+    def sigmas_of(row: int) -> tuple[float, float]:
+        """Return the standard deviations of the position [m] and of the heading [rad]."""
+        state = estimates[row].state
+        assert state is not None and state.covariance is not None
+        vertical = state.T_world_imu[2, :3]
+        heading = float(vertical @ state.covariance[:3, :3] @ vertical)
+        return float(np.sqrt(np.trace(state.covariance[3:6, 3:6]))), float(np.sqrt(heading))
+
+    # The position does not become more certain by the correction, nor the heading less
+    (position_m, heading_rad), (corrected_m, corrected_rad) = sigmas_of(corrected - 1), sigmas_of(corrected)
+    assert corrected_m > 0.9 * position_m
+    assert corrected_rad < 1.5 * heading_rad
     before, _ = velocity_errors(range(corrected - 20, corrected))
     after, sigmas = velocity_errors(range(corrected, corrected + 20))
     assert np.linalg.norm(before, axis=1).min() > 0.15
