@@ -4,7 +4,8 @@ Every recording is estimated with each number of cameras, under conditions that 
 (`sensor_conditions.py`), and from several starts. A row has the mean NEES of position and velocity (3 expected), the
 largest error while the health is "tracking" in standard deviations along the least certain axis, the frames beyond 5 of
 these, and the share of the poses that are not "tracking" although their error is below 3, in total and by cause.
-Position and yaw of each first pose are taken from the ground truth.
+Position and yaw of each first pose are taken from the ground truth; if the flight starts in motion, their covariance is
+added to that of the others.
 
 The truth of real flights, those without a `scenario.json`, has errors of its own: one inclination, yaw rate and time
 offset of the truth for a whole flight are fitted to its runs from the beginning, printed, and removed. What a truth
@@ -29,7 +30,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 from kept_runs import KeptRun, joined
-from measuring import ChangedRecording, Row, odometry, print_rows, section_of, with_truth
+from measuring import ChangedRecording, Row, anchored, odometry, print_rows, section_of, with_truth
 from sensor_conditions import CONDITIONS
 from truth_errors import TruthErrors, fitted
 
@@ -150,6 +151,7 @@ class Scores:
         if len(estimate) < 2:
             empty = np.zeros(0)
             return cls(empty, empty, empty, empty.astype(bool), (), lost=1)
+        estimate = anchored(true, estimate)
         found = consistency(true, estimate)
         length_m = np.linalg.norm(found.position_error_m, axis=1)
         counts = length_m >= resolved_m

@@ -20,7 +20,7 @@ from typing import Annotated
 
 import numpy as np
 import tyro
-from measuring import ChangedRecording, Row, opened, print_rows, text
+from measuring import ChangedRecording, Row, anchored, opened, print_rows, text
 from scipy.stats import gmean
 
 from dronevio.estimator.calibration.config import CalibrationConfig
@@ -119,7 +119,8 @@ class Scores:
             return cls(math.inf, 0, 0.0)
         p, p_true = estimate.p_world_imu[late], true.p_world_imu[late]
         errors = align(p_true, p).positions(p) - p_true
-        tracking, (error_m, sigma_m) = is_tracking(run, estimate), errors_and_sigmas_m(true, estimate)
+        tracking = is_tracking(run, estimate)
+        error_m, sigma_m = errors_and_sigmas_m(true, anchored(true, estimate))
         wrong = int(np.sum(tracking & (error_m > WRONG_SIGMAS * sigma_m)))
         rms_m = float(np.sqrt((errors**2).sum(axis=1).mean()))
         return cls(rms_m, wrong, 100.0 * float(np.sum(tracking & late)) / max(frames, 1))

@@ -20,6 +20,7 @@ from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.alignment import align
 from dronevio.eval.metrics.association import interpolate
+from dronevio.eval.metrics.consistency import relative_to_first
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.arrays import Integers
 from dronevio.models.imu import ImuSamples, Times
@@ -33,6 +34,8 @@ Row = Mapping[str, str]
 Result = TypeVar("Result")
 
 NO_POSE = (Health.INITIALIZING, Health.LOST)
+MOVING_M_S = 0.1
+"""Speed above which a vehicle moves [m/s]."""
 _BEFORE_NS, _AFTER_NS = 20_000_000, 50_000_000  # IMU samples around the first frames of a recording
 
 
@@ -128,6 +131,20 @@ def frames_of(run: EstimatorRun, *healths: Health) -> int:
 def first_pose_s(run: EstimatorRun) -> float:
     """Return the time from the first frame to the first pose [s]; NaN without one."""
     return next(((e.t_ns - int(run.t_ns[0])) * 1e-9 for e in run.estimates if e.state is not None), math.nan)
+
+
+def anchored(truth: Trajectory, estimate: Trajectory) -> Trajectory:
+    """Return an estimate with the uncertainty of its errors after alignment of position and yaw of its first pose.
+
+    That of the first pose belongs to it if the vehicle moves there; at rest, it is that of all poses.
+
+    Args:
+        truth: N true poses at the times of the estimate, N > 1.
+        estimate: N estimated poses with covariances.
+    """
+    step_m = np.linalg.norm(truth.p_world_imu[1] - truth.p_world_imu[0])
+    is_moving = step_m > MOVING_M_S * 1e-9 * float(truth.t_ns[1] - truth.t_ns[0])
+    return relative_to_first(estimate) if is_moving else estimate
 
 
 def ate_m(run: EstimatorRun, truth: Trajectory) -> float:

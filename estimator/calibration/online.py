@@ -10,8 +10,8 @@ matter; that part then follows the estimate.
 What happens before a correction is lost, so it comes early. The matches of the first keyframe determine the rotation
 between the cameras, also at rest. A window in motion begins with the last keyframe at rest, and its beginning is
 adjusted several times while it grows. Because the state at rest does not depend on the calibration, such a window also
-determines the newest state by the corrected calibration, with which the odometry continues. So does any window with one
-camera whose intrinsics turn out to be very wrong.
+determines the newest state by the corrected calibration, with which the odometry continues. So does any window by which
+intrinsics turn out to be very wrong.
 """
 
 from dataclasses import dataclass, replace
@@ -168,8 +168,8 @@ class OnlineCalibration:
         """The newest state by the last correction, with its covariance; None where the window does not determine it.
 
         It is that of the adjustment after a large correction, if the window begins at rest, where the state does not
-        depend on the calibration, or if the intrinsics of a single camera are very wrong, which have scaled the window
-        of the odometry. Little is assumed of the first state of a window that begins in motion.
+        depend on the calibration, or if intrinsics are very wrong, which have bent the window of the odometry. Little is
+        assumed of the first state of a window that begins in motion.
         """
         return self._corrected_state
 
@@ -297,7 +297,7 @@ class OnlineCalibration:
         self._corrected_state, self._corrects_displacement = None, begins
         # After a large correction, the newest state by the adjustment, propagated over the keyframes since
         first, change = window.keyframes[0].state.covariance, self._estimate.newest_change
-        determines = begins or (cameras == 1 and self._prior.parameters.refutes_intrinsics(change))
+        determines = begins or self._prior.parameters.refutes_intrinsics(change)
         if first is not None and determines and inflation_share(change) > KEPT_INFLATION:
             t_ns, newest = result.newest.t_ns, result.newest_given(self._estimate.applied)
             waiting = due.keyframes if due is not None and due.is_complete else ()

@@ -12,7 +12,16 @@ On plain arrays, ``ate(p_truth, p_estimate, "yaw").rmse`` gives the absolute tra
 
 from dronevio.eval.metrics.alignment import IDENTITY, Alignment, AlignmentMode, align, umeyama
 from dronevio.eval.metrics.association import Association, associate, interpolate, nearest
-from dronevio.eval.metrics.consistency import Anees, Consistency, anchor_first, anees, consistency, nees, nees_bounds
+from dronevio.eval.metrics.consistency import (
+    Anees,
+    Consistency,
+    anchor_first,
+    anees,
+    consistency,
+    nees,
+    nees_bounds,
+    relative_to_first,
+)
 from dronevio.eval.metrics.errors import (
     RelativeErrors,
     Statistics,
@@ -78,6 +87,7 @@ __all__ = [
     "pairs_after_time",
     "reconstruction_statistics",
     "relative_errors",
+    "relative_to_first",
     "residual_field",
     "rotation_errors_rad",
     "rpe",

@@ -7,7 +7,7 @@ unobservable for an odometry, is fixed at the first pose and not by a best fit, 
 Reference: Bar-Shalom, Li, Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.4.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from dronevio.eval.metrics.alignment import Alignment, align
 from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.imu import Times
-from dronevio.models.rotation import log_so3
+from dronevio.models.rotation import cross, log_so3
 from dronevio.models.state import Trajectory
 
 
@@ -122,8 +122,40 @@ def anchor_first(truth: Trajectory, estimate: Trajectory) -> Alignment:
     )
 
 
+def relative_to_first(estimate: Trajectory) -> Trajectory:
+    """Return an estimate with the uncertainty that its errors have when they are measured from its first pose.
+
+    An estimate that starts at rest begins with certain position and yaw, one that starts in motion does not, and the
+    error of its first pose is then part of all others. The covariance of the first position and yaw is added to that of
+    each pose; the correlation between both, which estimators do not publish, is neglected.
+
+    Args:
+        estimate: N > 0 poses with covariances, in a world frame whose z axis is up.
+
+    Raises:
+        EvaluationError: There are no covariances, or no pose.
+    """
+    P, n = estimate.covariance, len(estimate)
+    if P is None or n < 1:
+        raise EvaluationError("an estimate without covariances or poses; expected poses with covariances")
+    R_imu_world = np.swapaxes(estimate.rotations, -1, -2)
+    # Covariance of yaw and position of the first pose
+    selection = np.zeros((4, 15))
+    selection[0, :3] = R_imu_world[0, :, 2]
+    selection[1:, 3:6] = np.eye(3)
+    P_first = selection @ P[0] @ selection.T
+    # Their effect on each pose, relative to the first
+    J, up = np.zeros((n, 15, 4)), np.array([0.0, 0.0, 1.0])
+    J[:, :3, 0] = R_imu_world[:, :, 2]
+    J[:, 3:6, 0] = cross(up, estimate.p_world_imu - estimate.p_world_imu[0])
+    J[:, 3:6, 1:] = np.eye(3)
+    if estimate.velocity_m_s is not None and P[:, 6:9, 6:9].any():
+        J[:, 6:9, 0] = cross(up, estimate.velocity_m_s)
+    return replace(estimate, covariance=P + J @ P_first @ np.swapaxes(J, 1, 2))
+
+
 def consistency(truth: Trajectory, estimate: Trajectory) -> Consistency:
-    """Return errors with their estimated uncertainty.
+    """Return errors with their estimated uncertainty. Position and yaw of the first pose are taken as exact.
 
     Args:
         truth: N true poses at the times of the estimate.

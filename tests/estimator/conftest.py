@@ -20,7 +20,7 @@ from dronevio.estimator.imu.preintegration import Preintegration, Preintegration
 from dronevio.estimator.keyframe_observer import KeyframeObserver
 from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.types import Calibration, Observations
-from dronevio.models.arrays import Array
+from dronevio.models.arrays import Array, Integers
 from dronevio.models.camera import CameraModel
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Sampling
 from dronevio.models.protocols import measurements
@@ -185,9 +185,14 @@ class SyntheticFrontEnd:
         """Stop tracking features (N,)."""
         self._ids[np.isin(self._ids, ids)] = -1  # it may be detected again, as in an image
 
-    def _observations(self) -> Observations:
+    @property
+    def landmark_rows(self) -> Integers:
+        """(N,) Rows of the observed landmarks, in the order of the observations."""
         rows = np.flatnonzero((self._ids >= 0) & self._has_image)
-        rows = rows[np.argsort(self._ids[rows])]
+        return np.asarray(rows[np.argsort(self._ids[rows])])
+
+    def _observations(self) -> Observations:
+        rows = self.landmark_rows
         pixels = self._pixels[rows]
         return Observations(self._ids[rows], pixels, self._model.normalize(pixels), self._ages[rows])
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from dronevio.eval.metrics import anchor_first, consistency, nees
+from dronevio.eval.metrics import anchor_first, consistency, nees, relative_to_first
 from dronevio.eval.metrics.alignment import Alignment
 from dronevio.models.errors import EvaluationError
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix, rotation_z
@@ -66,6 +66,45 @@ def test_the_anchor_aligns_the_first_pose_in_yaw_and_position() -> None:
     np.testing.assert_allclose(
         anchor.positions(rotation_z(2.0) @ estimate.p_world_imu[0] + [1, 2, 3]), truth.p_world_imu[0], atol=1e-9
     )
+
+
+def test_the_uncertainty_of_the_first_pose_belongs_to_all_errors() -> None:
+    """Many short flights with errors of 5 cm and 20 mrad of the first pose, and of 1 cm and 2 mrad of the others."""
+    rng, runs = np.random.default_rng(4), 4000
+    p, v = np.array([[1.0, 2.0, 3.0], [4.0, -3.0, 3.5]]), np.array([[0.5, 0.0, 0.0], [2.0, -1.0, 0.3]])
+    R = exp_so3(np.array([[0.3, 0.1, 1.0], [-0.2, 0.4, 2.0]]))
+    sigmas = np.array([[0.02, 0.05, 0.1], [0.002, 0.01, 0.05]])  # of yaw, position and velocity
+    covariance = np.zeros((2, 15, 15))
+    for P, R_world_imu, (yaw, position, velocity) in zip(covariance, R, sigmas, strict=True):
+        up = R_world_imu.T[:, 2]
+        P[:3, :3] = yaw**2 * np.outer(up, up) + 1e-12 * np.eye(3)
+        P[3:6, 3:6], P[6:9, 6:9] = position**2 * np.eye(3), velocity**2 * np.eye(3)
+    t_ns, truth_quat = np.array([0, 50_000_000]), quat_wxyz_from_matrix(R)
+    truth = Trajectory(t_ns, p, truth_quat, velocity_m_s=v)
+    plain, relative = [], []
+    for _ in range(runs):
+        yaws = [rotation_z(yaw) for yaw in rng.normal(scale=sigmas[:, 0])]
+        moved_p = p + rng.normal(scale=sigmas[:, 1:2], size=(2, 3))
+        moved_v = v + rng.normal(scale=sigmas[:, 2:], size=(2, 3))
+        quat = quat_wxyz_from_matrix(np.stack([turn @ each for turn, each in zip(yaws, R, strict=True)]))
+        estimate = Trajectory(t_ns, moved_p, quat, velocity_m_s=moved_v, covariance=covariance)
+        for found, values in ((estimate, plain), (relative_to_first(estimate), relative)):
+            c = consistency(truth, found)
+            assert c.velocity_nees is not None
+            values.append([float(c.position_nees[0]), float(c.orientation_nees[0]), float(c.velocity_nees[0])])
+    # Degrees of freedom: 3, 1 (the tilt has no error), 3; five standard deviations of the means
+    degrees = np.array([3.0, 1.0, 3.0])
+    np.testing.assert_array_less(np.abs(np.mean(relative, axis=0) - degrees), 5.0 * np.sqrt(2.0 * degrees / runs))
+    assert (np.mean(plain, axis=0) > [30.0, 50.0, 3.5]).all()
+
+
+def test_a_certain_first_pose_adds_nothing() -> None:
+    _, estimate = flight(5, 6)
+    assert estimate.covariance is not None
+    estimate.covariance[0] = 0.0
+    np.testing.assert_array_equal(relative_to_first(estimate).covariance, estimate.covariance)
+    with pytest.raises(EvaluationError, match="without covariances"):
+        relative_to_first(Trajectory(estimate.t_ns, estimate.p_world_imu, estimate.quat_wxyz))
 
 
 def test_nees_by_hand() -> None:
