@@ -168,8 +168,8 @@ class OnlineCalibration:
         """The newest state by the last correction, with its covariance; None where the window does not determine it.
 
         It is that of the adjustment after a large correction, if the window begins at rest, where the state does not
-        depend on the calibration, or if intrinsics are very wrong, which have bent the window of the odometry. Little is
-        assumed of the first state of a window that begins in motion.
+        depend on the calibration, or if intrinsics are very wrong, which have bent the window of the odometry. Little
+        is assumed of the first state of a window that begins in motion.
         """
         return self._corrected_state
 
