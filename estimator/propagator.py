@@ -217,4 +217,6 @@ def velocity_may_be_zero(state: NavState) -> bool:
     if state.covariance is None:
         return True
     v, P = state.velocity_m_s, state.covariance[6:9, 6:9]
+    if v @ v > 1.01 * MAX_STATIONARY_SIGMAS**2 * np.trace(P):  # beyond the limit whatever the direction
+        return False
     return bool(v @ np.linalg.solve(P, v) < MAX_STATIONARY_SIGMAS**2)

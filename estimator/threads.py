@@ -59,13 +59,20 @@ class _Limit:
             if self._contexts > 1:
                 return
             self._before = [library.get_num_threads() for library in _blas_libraries()], cv2.getNumThreads()
-            _set_threads([1] * len(self._before[0]), 1)
+            if self._is_limited:
+                _set_threads([1] * len(self._before[0]), 1)
 
     def leave(self) -> None:
         with self._lock:
             self._contexts -= 1
-            if not self._contexts:
+            if not self._contexts and self._is_limited:
                 _set_threads(*self._before)
+
+    @property
+    def _is_limited(self) -> bool:
+        """Whether a number of threads before was another than one."""
+        blas, opencv = self._before
+        return any(threads != 1 for threads in (*blas, opencv))
 
 
 def _set_threads(blas: list[int], opencv: int) -> None:

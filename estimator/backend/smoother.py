@@ -26,6 +26,7 @@ from dronevio.estimator.backend.jolts import optimized
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate, keyframe_estimate
 from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkDatabase, TriangulatedLandmarks
 from dronevio.estimator.backend.marginal_prior import STATE_DIM, KeyframeState
+from dronevio.estimator.backend.weighting import median
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.imu.covariance import covariance_from_gtsam, covariance_to_gtsam
 from dronevio.estimator.imu.noise import ImuVarianceComponents
@@ -364,7 +365,7 @@ class KeyframeSmoother:
         rays = np.column_stack([before.xy[i], np.ones(len(i))])[:, :, None]
         rotated = (np.swapaxes(R, 1, 2) @ (R_now_before @ (R @ rays)))[..., 0]
         displacement = np.linalg.norm(now.xy[j] - rotated[:, :2] / rotated[:, 2:], axis=1)
-        return float(np.median(displacement)) * self._focal_px
+        return median(displacement) * self._focal_px
 
     def _gauss_newton(self) -> CholeskyFactor:
         """Optimize the window by a few steps and return the factor of the last linear system."""

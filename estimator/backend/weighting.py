@@ -15,7 +15,7 @@ def variance_factor(squared: Array) -> float:
     Args:
         squared: (N,) Squared residuals in units of the assumed variance.
     """
-    return max(1.0, float(np.median(squared)) / MEDIAN_CHI2_2DOF) if len(squared) > 0 else 1.0
+    return max(1.0, median(squared) / MEDIAN_CHI2_2DOF) if len(squared) > 0 else 1.0
 
 
 def image_variance(squared: Array, landmark: Integers) -> float | None:
@@ -31,7 +31,7 @@ def image_variance(squared: Array, landmark: Integers) -> float | None:
     equations, unknowns = 2 * len(squared), 3 * len(np.unique(landmark))
     if equations <= unknowns:
         return None
-    return float(np.median(squared)) / MEDIAN_CHI2_2DOF * equations / (equations - unknowns)
+    return median(squared) / MEDIAN_CHI2_2DOF * equations / (equations - unknowns)
 
 
 def robust_thresholds(squared: Array, keyframe: Integers, robust_sigmas: float) -> Array:
@@ -55,11 +55,11 @@ def group_medians(group: Integers, values: Array) -> Array:
     bounds = np.flatnonzero(np.diff(group[order])) + 1
     parts = np.split(values[order], bounds)
     medians = np.empty(len(values))
-    medians[order] = np.repeat([_median(part) for part in parts], [len(part) for part in parts])
+    medians[order] = np.repeat([median(part) for part in parts], [len(part) for part in parts])
     return medians
 
 
-def _median(values: Array) -> float:
+def median(values: Array) -> float:
     """Return the median of values (N,), NaN for none; faster than `numpy.median`."""
     if not len(values):
         return float("nan")

@@ -115,7 +115,12 @@ class WindowObjective:
     def _indices(self, x: WindowEstimate) -> ObservationIndices:
         """Return the indices of the keyframes and landmarks of the observations."""
         keyframe = np.searchsorted(list(x.states), self.observations.keyframe)
-        return ObservationIndices(keyframe, np.searchsorted(self.landmark_ids, self.observations.landmark))
+        return ObservationIndices(keyframe, self._landmark_rows)
+
+    @cached_property
+    def _landmark_rows(self) -> Integers:
+        """(N,) Rows of the landmarks of the observations among all."""
+        return np.asarray(np.searchsorted(self.landmark_ids, self.observations.landmark))
 
 
 def _visual_state(states: Mapping[int, KeyframeState], points: Array) -> VisualState:

@@ -173,8 +173,8 @@ class HealthMonitor:
         if is_constrained or stationary:
             since = replace(since, constrained_ns=t_ns, constrained_sigma_m=position_sigma_m)
         reference = self._required_reference
-        allowed_px = c.max_innovation_px + reference.rotation_uncertainty_px(predicted, calibration)
-        if not (is_constrained and innovation_px > allowed_px):
+        excess_px = innovation_px - c.max_innovation_px if is_constrained else 0.0
+        if excess_px <= 0.0 or excess_px <= reference.rotation_uncertainty_px(predicted, calibration):
             since = replace(since, consistent_ns=t_ns)
         self._since = since
 
