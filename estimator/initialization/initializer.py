@@ -47,6 +47,9 @@ REST_GYRO_BIAS_SIGMA_RAD_S = 0.01
 contain a slow rotation."""
 NO_SOLUTION = "images and IMU do not determine the motion: motion sideways past near objects helps"
 """Reason where the smoother finds no solution."""
+EARLY_ATTEMPTS = 8
+"""Number of attempts in motion after which they become half as frequent. Where measurements belong together, nearly all
+starts succeed within them."""
 NOISE_ROUNDS = 4
 """Largest number of initial adjustments in motion, each with the noise of the IMU that the one before has shown."""
 NOISY_ACCEL_BIAS_SIGMA_M_S2 = 0.03
@@ -119,6 +122,7 @@ class Initializer:
         self._gyro_bias, self._accel_bias = gauge.gyro_bias, gauge.accel_bias
         self._window: list[FramePacket] = []
         self._last_attempt_ns: int | None = None
+        self._attempts = 0
         self._needs_longer_window = False
         self._replenished_ns: int | None = None
         self._last_reason = NotObservable("no images so far")
@@ -181,10 +185,10 @@ class Initializer:
         last_ns = self._last_attempt_ns
         if self._needs_longer_window:
             window = self._since(t_ns, c.dynamic.max_window_s)
-        elif last_ns is not None and t_ns - last_ns < c.dynamic.attempt_interval_s * 1e9:
+        elif last_ns is not None and t_ns - last_ns < self._attempt_interval_s * 1e9:
             return self._last_reason
         else:
-            self._last_attempt_ns = t_ns
+            self._last_attempt_ns, self._attempts = t_ns, self._attempts + 1
         result = self._dynamic(window, calibration, gauge, noise)
         has_longer = not stereo and len(self._since(t_ns, c.dynamic.max_window_s)) > len(window)
         self._needs_longer_window = isinstance(result, NotObservable) and has_longer  # at the next frame
@@ -249,6 +253,11 @@ class Initializer:
             f"images and IMU agree within {error_px:.1f} px only, {allowed_px:g} px are needed: steady motion past near"
             " objects that do not move helps"
         )
+
+    @property
+    def _attempt_interval_s(self) -> float:
+        """Time between two attempts in motion, twice that of the settings after `EARLY_ATTEMPTS` [s]."""
+        return self._config.dynamic.attempt_interval_s * (2.0 if self._attempts >= EARLY_ATTEMPTS else 1.0)
 
     @property
     def _is_window_full(self) -> bool:

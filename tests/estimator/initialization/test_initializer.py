@@ -296,6 +296,28 @@ def test_a_start_of_two_cameras_tells_another_time_offset(make_flight: MakeFligh
     assert found is not None and abs(float(found[1]) - 1e3 * offset_s) <= 2.0
 
 
+def test_attempts_become_less_frequent(make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eight attempts that fail, each with a longer window at the next frame, and then half as many."""
+    flight, gauge = make_flight(0, rest_s=-5.0, duration_s=10.0), WorldOrigin(0.05, 0.1)
+    initializer, noise = initializer_at(gauge), noise_of(flight)
+    attempts_s: list[float] = []
+
+    def failed(window: Sequence[FramePacket], *_: object) -> NotObservable:
+        attempts_s.append((window[-1].t_ns - int(flight.frame_times_ns[0])) * 1e-9)
+        return NotObservable("nothing fits")
+
+    monkeypatch.setattr(initializer, "_dynamic", failed)
+    for packet in packets_of(flight, 190):
+        initializer.add(packet, 0.0, Calibration(flight.rig), gauge, noise)
+    intervals_s = np.diff(
+        [each for i, each in enumerate(attempts_s) if i == 0 or each - attempts_s[i - 1] > 1.5 * FRAME_S]
+    )
+    interval_s = CONFIG.dynamic.attempt_interval_s
+    np.testing.assert_allclose(intervals_s[:7], interval_s, atol=1e-6)
+    np.testing.assert_allclose(intervals_s[7:], 2.0 * interval_s, atol=1e-6)
+    assert len(intervals_s) > 15
+
+
 def test_reason_without_any_image(make_flight: MakeFlight) -> None:
     gauge, flight = WorldOrigin(0.05, 0.1), make_flight(0)
     initializer = initializer_at(gauge)
