@@ -156,7 +156,9 @@ def pair_runs(first: Iterable[Row], second: Iterable[Row], allow_missing: bool =
     unpaired += [f"{run_name(i)} (only in the second)" for i in b.keys() - a.keys()]
     if unpaired and not allow_missing:
         shown = "; ".join(sorted(unpaired)[:3]) + ("; …" if len(unpaired) > 3 else "")
-        raise EvaluationError(f"{len(unpaired)} runs without a partner: {shown}; expected the same runs in both")
+        raise EvaluationError(
+            f"{len(unpaired)} runs without a partner: {shown}; expected the same runs in both, or --allow-missing"
+        )
     both = sorted(a.keys() & b.keys(), key=lambda i: (i[2], i[0], -1 if i[1] is None else i[1]))
     if not both:
         raise EvaluationError("no run is in both; expected runs of the same scenario, seed and estimator")

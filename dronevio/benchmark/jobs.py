@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -303,9 +304,15 @@ def _recording_hash(flown: "Scenario") -> str:
 
 def _rendering_hash(settings: dict[str, object]) -> str:
     """Return the hash of the settings of a recording, and of the code and packages that make it."""
+    return content_hash({**settings, **_renderer()})
+
+
+@cache
+def _renderer() -> dict[str, object]:
+    """Return the packages and the hash of the code that make recordings; read once for all flights of a benchmark."""
     installed = versions_here()
     packages = {name: installed.get(name) for name in _RENDERING_PACKAGES}
-    return content_hash({**settings, "packages": packages, "code": code_hash(*_RENDERING_CODE)})
+    return {"packages": packages, "code": code_hash(*_RENDERING_CODE)}
 
 
 def _images_hash(flown: "Scenario") -> str:

@@ -19,7 +19,11 @@ _JOBS_PER_CORE = 2  # submitted at a time, so that no core waits and Ray's table
 
 @dataclass(frozen=True)
 class RayEngine:
-    """Executes jobs as Ray tasks of one core each."""
+    """Executes jobs as Ray tasks of one core each.
+
+    Raises:
+        ConfigError: Ray is not installed.
+    """
 
     address: str | None = None
     """Address of a running cluster, or ``auto`` for the one that this machine belongs to. None starts a cluster on this
@@ -27,16 +31,19 @@ class RayEngine:
     workers: int | None = None
     """Number of cores of a cluster that is started on this machine; None for all."""
 
-    def run(self, jobs: Sequence[Job]) -> Iterator[JobEvent]:
-        """Yield the rows of all jobs as they are produced, and the end of each job.
-
-        Raises:
-            ConfigError: Ray is not installed, or there is no cluster at the address.
-        """
+    def __post_init__(self) -> None:
         if self.address is None:
             # Without cluster support, all of Ray's servers listen on 127.0.0.1 only. Ray reads this at its import.
             os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        _import_ray()
+
+    def run(self, jobs: Sequence[Job]) -> Iterator[JobEvent]:
+        """Yield the rows of all jobs as they are produced, and the end of each job.
+
+        Raises:
+            ConfigError: There is no cluster at the address.
+        """
         ray = _import_ray()
         self._connect(ray)
         try:

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from dronevio.benchmark import jobs
 from dronevio.benchmark.jobs import recorded_flights, scenario_flights
 from dronevio.benchmark.variants import variant_of
 from dronevio.cli import main
@@ -173,6 +174,14 @@ def test_without_ray_its_engine_says_what_to_install(
     flown: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    arguments = ["--recordings", str(flown.folder), "--engine", "ray", "--out", str(tmp_path)]
-    assert main(["benchmark", *arguments]) == 2
-    assert install_command("ray") in capsys.readouterr().err
+    for flights in (["--recordings", str(flown.folder)], ["--suite", "room", "--seeds", "100000"]):
+        assert main(["benchmark", *flights, "--engine", "ray", "--out", str(tmp_path)]) == 2
+        assert install_command("ray") in capsys.readouterr().err
+
+
+def test_sources_are_read_once_for_all_flights(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario_flights(["short"], range(1))
+    reads: list[Path] = []
+    monkeypatch.setattr(jobs, "code_hash", lambda *paths: reads.extend(paths))
+    assert len({flight.recording_hash for flight in scenario_flights(["room"], range(100))}) == 300
+    assert reads == []

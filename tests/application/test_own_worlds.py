@@ -138,6 +138,16 @@ def test_scenarios_of_explorations_are_of_the_file(here: Path) -> None:
     assert scenario.world == resolved_world(str(here / "yard.yaml"))
 
 
+def test_the_folder_of_an_exploration_has_the_name_of_the_world(
+    here: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    monkeypatch.chdir(elsewhere)
+    words = ["--no-images", "--time-s", "1", "--goal", "6", "4", "1.5"]
+    assert main(["explore", str(here / "yard.yaml"), *words]) == 0
+    assert [path.name for path in (elsewhere / "runs").iterdir()] == ["explore-yard-0"]
+
+
 @pytest.mark.slow
 def test_a_run_in_a_file_is_recorded_with_its_name_and_hash(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["--scenario", "short", "--world", "yard.yaml", "--world-seed", "3", "--plan.tour-s", "2"]

@@ -132,9 +132,10 @@ def main(arguments: Sequence[str]) -> int:
         is_given = any(word.partition("=")[0] == "--seeds" for word in arguments)
         seeds = command.seeds if is_given else None
         return run_explore_suite(command.out, command.variants, seeds, command.workers, command.printing.json)
-    benchmark = _planned(command)
     if command.sizing:
-        return _print_sizing(command, benchmark)
+        return _print_sizing(command, _planned(command))
+    engine = _engine(command)  # first, since it takes a while to plan thousands of flights
+    benchmark = _planned(command)
 
     from dronevio.eval.benchmark.cache import RecordingCache
     from dronevio.eval.benchmark.rows import RESULTS_FILE
@@ -142,7 +143,6 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.eval.benchmark.store import ResultStore
 
     folder = command.out or Path("benchmarks") / (command.suite or "results")
-    engine = _engine(command)
     store = ResultStore(folder)
     cache = RecordingCache(benchmark.cache)
     cache.remove_abandoned()

@@ -121,6 +121,7 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.cli.output_files import require_free, reserved_folder
     from dronevio.cli.reservations import reserved, reserved_free_name
     from dronevio.models.errors import ConfigError
+    from dronevio.sim.worlds.own.names import file_stem
 
     if command.goal and command.task == "cover":
         raise ConfigError("--goal with --task cover; expected one of them")
@@ -129,7 +130,7 @@ def main(arguments: Sequence[str]) -> int:
     scenario = _scenario(command)
     if command.out is not None:
         require_free(command.out, command.output.overwrite)  # before the flight
-    wanted = Path("runs") / f"explore-{command.scenario}-{scenario.seed}"
+    wanted = Path("runs") / f"explore-{file_stem(command.scenario)}-{scenario.seed}"
     with (
         reserved_free_name(wanted) if command.out is None else reserved(command.out) as target,
         reserved_folder(target, command.output.overwrite, mark="report.json") as folder,
