@@ -48,8 +48,8 @@ contain a slow rotation."""
 NO_SOLUTION = "images and IMU do not determine the motion: motion sideways past near objects helps"
 """Reason where the smoother finds no solution."""
 EARLY_ATTEMPTS = 16
-"""Number of attempts in motion, within four seconds, after which they become half as frequent. Where measurements belong
-together, nearly all starts succeed within them."""
+"""Number of attempts in motion, within four seconds, after which they become half as frequent. Where measurements
+belong together, nearly all starts succeed within them."""
 NOISE_ROUNDS = 4
 """Largest number of initial adjustments in motion, each with the noise of the IMU that the one before has shown."""
 NOISY_ACCEL_BIAS_SIGMA_M_S2 = 0.03
