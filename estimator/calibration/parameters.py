@@ -12,8 +12,9 @@ from dronevio.models.arrays import Array, Integers
 FIXED_SIGMA = 1e-9
 """Standard deviation of parameters that are known; it keeps the matrices regular."""
 
-REFUTED_SIGMAS = 1.5
-"""Prior standard deviations beyond which a change of the intrinsics shows that the given ones were very wrong."""
+REFUTED_SIGMAS, REFUTED_FOCAL_SIGMAS = 1.5, 0.7
+"""Prior standard deviations beyond which a change of the intrinsics, and of the focal length, which scales the motion,
+shows that the given ones were very wrong."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +27,13 @@ class ParameterGroup:
     """Settings of these parameters."""
     is_rotation: bool = False
     """Whether they are the rotations of all cameras."""
-    is_intrinsic: bool = False
-    """Whether they are intrinsics of a camera."""
+    refuted_sigmas: float | None = None
+    """For intrinsics, prior standard deviations beyond which a change shows that the given ones were very wrong."""
+
+    @property
+    def is_intrinsic(self) -> bool:
+        """Whether they are intrinsics of a camera."""
+        return self.refuted_sigmas is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +66,9 @@ class ParameterTable:
         for rows in of_camera:
             parts = config.translation, config.focal, config.principal, config.radial
             position, *intrinsics = zip(np.split(rows[3:], [3, 4, 6]), parts, strict=True)
-            groups += [ParameterGroup(*position), *(ParameterGroup(*part, is_intrinsic=True) for part in intrinsics)]
+            limits = REFUTED_FOCAL_SIGMAS, REFUTED_SIGMAS, REFUTED_SIGMAS
+            refuted = (ParameterGroup(*part, refuted_sigmas=s) for part, s in zip(intrinsics, limits, strict=True))
+            groups += [ParameterGroup(*position), *refuted]
         sigmas = np.full(COMMON_PARAMETERS + of_camera.size, FIXED_SIGMA)
         sigmas[GYRO_SCALE] = max(config.gyro_scale_sigma, FIXED_SIGMA)
         walk = np.zeros(len(sigmas))
@@ -78,5 +86,6 @@ class ParameterTable:
 
     def refutes_intrinsics(self, change: Array) -> bool:
         """Return whether a change (D,) shows that intrinsics were very wrong."""
-        is_beyond = np.abs(change) > REFUTED_SIGMAS * self.sigmas
-        return any(group.is_intrinsic and bool(is_beyond[group.rows].any()) for group in self.groups)
+        in_sigmas = np.abs(change) / self.sigmas
+        limits = ((group.rows, group.refuted_sigmas) for group in self.groups)
+        return any(limit is not None and bool((in_sigmas[rows] > limit).any()) for rows, limit in limits)

@@ -6,13 +6,13 @@ Corrections by landmarks come on top: they are allowed in proportion to the stan
 A larger change is no estimate of a flight, whatever its covariance, but the result of inconsistent measurements.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.monitoring.causes import Cause, Reason
+from dronevio.models.arrays import Array
 from dronevio.models.rotation import log_so3
 from dronevio.models.state import NavState
 
@@ -50,11 +50,11 @@ class MotionLimits:
 
     def reason_against(self, state: NavState) -> Reason | None:
         """Return why a state cannot follow the last published one, or None where it can."""
-        reason = self._reason_beyond(LEAST_CORRECTIONS, state)
+        reason = self._reason_beyond(np.array(LEAST_CORRECTIONS), state)
         return None if reason is None else self._reason_beyond(_allowed_corrections(self.state, state), state)
 
-    def _reason_beyond(self, corrections: Sequence[float], state: NavState) -> Reason | None:
-        """Return why a state cannot follow with corrections of orientation [rad], position [m] and velocity [m/s]."""
+    def _reason_beyond(self, corrections: Array, state: NavState) -> Reason | None:
+        """Return why a state cannot follow with corrections (3,) of orientation [rad], position [m], velocity [m/s]."""
         last, dt_s = self.state, (state.t_ns - self.state.t_ns) * 1e-9
         R_change = last.T_world_imu[:3, :3].T @ state.T_world_imu[:3, :3]
         turned_rad = float(np.linalg.norm(log_so3(R_change)))
@@ -86,11 +86,11 @@ def reason_against(state: NavState, last: MotionLimits | None) -> Reason | None:
     return None if last is None else last.reason_against(state)
 
 
-def _allowed_corrections(last: NavState, state: NavState) -> list[float]:
-    """Return the corrections of orientation [rad], position [m] and velocity [m/s] that the covariances allow."""
+def _allowed_corrections(last: NavState, state: NavState) -> Array:
+    """Return the corrections (3,) of orientation [rad], position [m] and velocity [m/s] that the covariances allow."""
     sigmas = np.zeros(3)
     for P in (last.covariance, state.covariance):
         if P is not None and np.isfinite(P).all():
             variances = np.linalg.eigvalsh(np.stack([P[i : i + 3, i : i + 3] for i in (0, 3, 6)]))[:, -1]
             sigmas = np.maximum(sigmas, np.sqrt(np.maximum(variances, 0.0)))
-    return (np.array(LEAST_CORRECTIONS) + CORRECTION_SIGMAS * np.minimum(sigmas, MAX_SIGMAS)).tolist()
+    return np.asarray(np.array(LEAST_CORRECTIONS) + CORRECTION_SIGMAS * np.minimum(sigmas, MAX_SIGMAS))
