@@ -63,6 +63,7 @@ def test_turn_reaches_the_heading_at_rest_within_its_bounds(yaw: float, rate: fl
     t = np.arange(0.0, turn.duration_s + 0.02, 1e-3)
     yaws, yaw_rates = turn.at(t)
     assert yaws[0] == pytest.approx(yaw) and yaw_rates[0] == pytest.approx(rate, abs=0.01)
+    assert turn.at(np.array([-1e-3]))[0][0] == pytest.approx(yaw - 1e-3 * rate, abs=2e-6)
     assert abs(remainder(yaws[-1] - target, 2 * pi)) < 1e-6 and yaw_rates[-1] == 0.0
     assert np.abs(yaw_rates).max() <= 1.5 + 1e-9
     assert np.abs(np.diff(yaw_rates)).max() <= 3.0 * 1e-3 + 1e-6
@@ -129,6 +130,21 @@ def test_a_new_motion_from_the_planned_state_leaves_no_step() -> None:
     assert np.abs(np.diff(v, axis=0)).max() < 1.05 * np.abs(a).max() * 5e-3
     assert np.abs(np.diff(a, axis=0)).max() < 0.3  # the jerk is bounded, too
     assert np.abs(np.diff([each.yaw_rad for each in points])).max() < 1.6 * 5e-3
+    # A stop from low speed is not so fast that the vehicle has to jerk round.
+    assert np.abs(np.diff([each.rate_rad_s for each in points], axis=0)).max() < 30.0 * 5e-3
+
+
+def test_a_turn_that_is_planned_anew_does_not_kick_the_vehicle() -> None:
+    """Each motion begins in the turn of the one before; the acceleration stays that of turns, 3 rad/s²."""
+    course = course_of(Motion.of(at_rest(np.zeros(3)), Turn(0.0, 0.0, 3.0, 1.5, 3.0), 0, INTERVAL_NS))
+    for begins_ns in (200_000_000, 700_000_000, 1_600_000_000):
+        _, yaw, rate = course.planned(begins_ns)
+        assert rate > 0.5
+        turn = Turn.toward(yaw, rate, 3.0, 1.5, 3.0)
+        course.follow(Motion.of(at_rest(np.zeros(3)), turn, begins_ns, INTERVAL_NS))
+    points = [course.point(t) for t in range(0, 4_000_000_000, INTERVAL_NS)]
+    assert np.abs(np.diff([each.rate_rad_s[2] for each in points])).max() < 3.1 * 5e-3
+    assert np.abs([each.angular_acceleration_rad_s2[2] for each in points]).max() < 3.1
 
 
 def test_later_decisions_replace_earlier_ones() -> None:

@@ -38,9 +38,12 @@ class Turn:
         return self._parts()[-1]
 
     def at(self, time_s: Array) -> tuple[Array, Array]:
-        """Return headings and their rates (N,) at times (N,) from the start [rad, rad/s]."""
+        """Return headings and their rates (N,) at times (N,) from the start [rad, rad/s].
+
+        Before the start, the acceleration is that of its first part.
+        """
         peak, begin, cruise, end = self._parts()
-        t = np.clip(time_s, 0.0, end)
+        t = np.minimum(time_s, end)
         first, second, third = (
             np.minimum(t, begin),
             np.clip(t - begin, 0.0, cruise),
