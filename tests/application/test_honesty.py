@@ -1,6 +1,7 @@
 """The benchmarks of honest covariances and of wrong intrinsics."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -81,8 +82,10 @@ def test_kept_runs_are_what_has_been_published(
 
 def test_scores_by_hand(honesty: Any, script: Callable[[str], Any]) -> None:
     """Errors of 3 cm beyond what the truth resolves, at standard deviations of 1 and 0.5 cm; one of them is said."""
-    exact = trajectory(40)
-    error = np.zeros((40, 3))
+    flight, error = trajectory(40), np.zeros((40, 3))
+    p = flight.p_world_imu.copy()
+    p[1] = p[0]
+    exact = replace(flight, p_world_imu=p)  # begins at rest
     error[10:, 0] = 0.04  # the first pose is aligned
     covariance = np.tile(np.diag(np.repeat([1e-6, 0.01**2, 1e-4, 1e-8, 1e-6], 3)), (40, 1, 1))
     covariance[30:, 3:6, 3:6] = 0.005**2 * np.eye(3)
@@ -93,6 +96,11 @@ def test_scores_by_hand(honesty: Any, script: Callable[[str], Any]) -> None:
     np.testing.assert_allclose(scores.position_nees, [9.0] * 20 + [36.0] * 10)
     np.testing.assert_allclose(scores.sigmas, [0.0] * 10 + [3.0] * 20 + [6.0] * 10, atol=1e-9)
     assert scores.wrong == 5 and scores.untracked_percent == 0.0 and not scores.keeps_bounds
+    # In motion, the variance of the first position, 1 cm², and a little of its yaw, belongs to each error
+    moving = replace(estimate, p_world_imu=flight.p_world_imu + error)
+    scores = honesty.Scores.of(replace(run, trajectory=moving), flight, 0.01)
+    np.testing.assert_allclose(scores.position_nees, [4.5] * 20 + [7.2] * 10, rtol=0.04)
+    assert not scores.wrong
 
 
 @pytest.mark.slow
