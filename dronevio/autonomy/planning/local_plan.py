@@ -27,7 +27,6 @@ _ASIDE_M, _UPRIGHT_M = (0.3, 1.0), (0.25, 0.5)  # distance of places from which 
 _STILL_M_S = 0.1  # up to which a trajectory is sought in every corridor, however long that takes
 _LEVEL_M, _FAR_M = 0.15, 20.0  # half the sides of boxes in which the vehicle brakes
 _HARDER = (1.0, 2.0, 4.0)  # multiples of the acceleration of stops, tried in turn
-_GENTLE_STOP_S, _LEAST_BRAKING_M_S2 = 0.15, 1.2  # of stops from low speed, whose acceleration is that of a longer one
 _BACK_LEAST_M, _BACK_M = 0.2, 1.0  # length of a way back to more room
 _BACK_M_S, _BACK_BESIDE_M = 0.5, 0.05  # speed on it, and half its width
 _BACK_TRIES, _BACK_SAMPLES = 200, 21
@@ -180,22 +179,15 @@ def stop(space: LocalSpace, start: Array, body: Body, limits: Limits) -> Corrido
         corridor = corridor_along(space.grid, clear, ahead, _REACH_M) if len(ahead) > 1 else None
         parts = () if corridor is None else (_level(corridor, float(start[0, 2])), corridor)
         for factor, part in product(_HARDER, parts):
-            trajectory = corridor_trajectory(part, start, None, _stopping(limits, start, factor))
+            trajectory = corridor_trajectory(part, start, None, _stopping(limits, speed, factor))
             if trajectory is not None:
                 return trajectory
     return braking(start, limits, factors)
 
 
-def _stopping(limits: Limits, start: Array, factor: float) -> Limits:
-    """Return limits of a stop from a state (4, 3), whose speed may be a little above its own limit.
-
-    The acceleration is a multiple of that of the limits. From a low speed it is smaller, because a stop within
-    hundredths of a second turns the vehicle faster than its rotors can.
-    """
-    speed, present = np.linalg.norm(start[1:3], axis=1).tolist()
-    gentle = max(speed / _GENTLE_STOP_S, 1.5 * present, _LEAST_BRAKING_M_S2)
-    accel = factor * min(limits.accel_m_s2, gentle)
-    return replace(limits, accel_m_s2=accel, speed_m_s=max(limits.speed_m_s, 1.1 * speed))
+def _stopping(limits: Limits, speed_m_s: float, factor: float) -> Limits:
+    """Return limits of a stop from a speed, which may be a little above its own limit, with a multiple of the rest."""
+    return replace(limits, accel_m_s2=factor * limits.accel_m_s2, speed_m_s=max(limits.speed_m_s, 1.1 * speed_m_s))
 
 
 def _level(corridor: Corridor, z_m: float) -> Corridor:
@@ -213,10 +205,11 @@ def braking(start: Array, limits: Limits, factors: Sequence[float] = _HARDER) ->
         limits: Limits of the motion.
         factors: Multiples of the acceleration, of which the first is taken with which there is such a trajectory.
     """
+    speed = float(np.linalg.norm(start[1]))
     for depth_m, factor in product((_LEVEL_M, _FAR_M), factors):
         around = np.array([_FAR_M, _FAR_M, depth_m])
         box = Corridor((start[0] - around)[None], (start[0] + around)[None])
-        trajectory = corridor_trajectory(box, start, None, _stopping(limits, start, factor))
+        trajectory = corridor_trajectory(box, start, None, _stopping(limits, speed, factor))
         if trajectory is not None:
             return trajectory
     raise AssertionError("no trajectory to rest")  # one exists in an unbounded box
