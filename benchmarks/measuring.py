@@ -134,9 +134,9 @@ def first_pose_s(run: EstimatorRun) -> float:
 
 
 def anchored(truth: Trajectory, estimate: Trajectory) -> Trajectory:
-    """Return an estimate with the uncertainty of its errors after alignment of position and yaw of its first pose.
+    """Return an estimate whose covariances are those of its errors after alignment at the first pose.
 
-    That of the first pose belongs to it if the vehicle moves there; at rest, it is that of all poses.
+    They contain the covariance of the first pose if the vehicle moves there; see `relative_to_first`.
 
     Args:
         truth: N true poses at the times of the estimate, N > 1.

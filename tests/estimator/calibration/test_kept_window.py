@@ -96,8 +96,10 @@ class WrongLenses:
         return replace(seen, xy=self._rig.cameras[0].model.normalize(seen.pixels))
 
 
-@pytest.mark.parametrize("cameras", [1, 2])
-def test_a_corrected_focal_length_mends_the_state_in_motion(make_flight: MakeFlight, cameras: int) -> None:
+@pytest.mark.parametrize(("cameras", "wrong_m_s"), [(1, 0.15), (2, 0.12)])
+def test_a_corrected_focal_length_mends_the_state_in_motion(
+    make_flight: MakeFlight, cameras: int, wrong_m_s: float
+) -> None:
     """Focal lengths 5 % off make the estimate drift; their correction ends that at once."""
     flight = make_flight(0, rest_s=-5.0, duration_s=14.0)
     true = replace(rig_named("euroc-stereo"), imu=flight.rig.imu, T_vehicle_imu=flight.rig.T_vehicle_imu)
@@ -136,6 +138,6 @@ def test_a_corrected_focal_length_mends_the_state_in_motion(make_flight: MakeFli
     assert corrected_rad < 1.5 * heading_rad
     before, _ = velocity_errors(range(corrected - 20, corrected))
     after, sigmas = velocity_errors(range(corrected, corrected + 20))
-    assert np.linalg.norm(before, axis=1).min() > 0.12
+    assert np.linalg.norm(before, axis=1).min() > wrong_m_s
     assert np.linalg.norm(after, axis=1).max() < 0.05
     assert np.all(np.linalg.norm(after, axis=1) < 3.0 * sigmas)
