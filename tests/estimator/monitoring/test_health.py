@@ -220,6 +220,20 @@ def test_only_a_lasting_contradiction_is_a_loss() -> None:
     assert health.index(Health.LOST) == frames
 
 
+@pytest.mark.parametrize(("share", "is_lost"), [(0.9, True), (1.1, False)])
+def test_an_uncertain_rotation_explains_its_innovation(share: float, is_lost: bool) -> None:
+    """Twice the largest innovation, where the rotation since the keyframe is uncertain by a share of the excess."""
+    triangulated, observations = landmarks_and_observations(40, error_px=2.0 * CONFIG.max_innovation_px)
+    sigma_rad = share * CONFIG.max_innovation_px / RIG.cameras[0].model.fx
+    assert START.covariance is not None
+    P = START.covariance.copy()
+    P[:3, :3] += sigma_rad**2 * np.eye(3)
+    monitor = monitor_of(triangulated, replace(CONFIG, max_nis=inf, max_consistent_nis=inf, max_frame_nis=inf))
+    frames = range(round(CONFIG.max_contradiction_s / 0.05) + 3)
+    health = [assess(monitor, observations, state_after(k, covariance=P)).health for k in frames]
+    assert (Health.LOST in health) == is_lost
+
+
 def error_of_nis(nis: float) -> float:
     """Return the error of all observations [px] that has a NIS at the start, where only their noise counts."""
     return SIGMA_PX * float(np.sqrt(MEDIAN_CHI2_2DOF * nis))
