@@ -285,12 +285,13 @@ class Explorer:
         turn = self._turn(m, at_end if is_near else toward)
         askew = None if toward is None or is_near else turn.yaw_rad + turn.angle_rad - m.yaw_rad
         rest = m.from_world(self._course.positions_from(m.begins_ns)[:: max(_CHECK_NS // self._course.interval_ns, 1)])
-        step = self._following.step(m, space, ahead, rest, askew, peeks=not self._task.has_others)
+        is_there = self._is_there(m, target)
+        step = self._following.step(m, space, ahead, rest, askew, peeks=not (is_there or self._task.has_others))
         if step.what is None or step.trajectory is None:
             return
         self._say("fly home" if step.what == "fly" and self._is_going_home else step.what)
         self._follow(m, step.trajectory, turn)
-        if step.is_stuck and self._is_there(m, target):
+        if step.is_stuck and is_there:
             self._arrive(m, space, target)
         elif step.is_stuck:
             self._give_up(m, ahead)

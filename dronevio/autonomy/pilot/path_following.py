@@ -78,7 +78,7 @@ class PathFollowing:
         # Without a new trajectory: fly on if the last one is still free, otherwise stop
         if m.speed_m_s > 0.5 * STILL_M_S and is_blocked(m, space, rest):
             return Step("the trajectory is blocked: stop", stop(space, m.start, m.body, self._limits))
-        if m.speed_m_s >= STILL_M_S or m.now_ns <= self._peeking_until_ns:
+        if not m.is_at_rest or m.now_ns <= self._peeking_until_ns:
             return Step(None, None)
         # At rest: look, and after a while from another place
         if m.now_ns - self._progress_ns <= _STUCK_NS:
