@@ -24,6 +24,7 @@ EXTRAPOLATION_S = 0.1  # beyond the measured motion, the angular velocity is hel
 ACCEL_SAMPLES = 4  # increments on each side of a frame whose mean is its specific force, to average out vibration
 ANGULAR_VELOCITY_STEP_S = 0.005  # half the step of the numeric derivative at the frame, one interval of the IMU [s]
 MIN_FLOW_INTERVAL_S = 1e-3  # shortest time between two observations that a flow is computed from [s]
+MAX_GAP_S = 0.5  # longest time without an image across which a flow is computed [s]
 NO_DELAYS_S = np.zeros(1)  # of images that all have the time stamp of their frame
 
 
@@ -72,6 +73,7 @@ class _Exposed:
     """The observations of a frame, in increasing order of their identities."""
 
     ids: Integers  # (N,)
+    camera: Integers  # (N,) index of the camera of each
     delay_s: Array  # (N,) exposure time of each relative to the frame's
     rays: Array  # (N, 3) at depth 1, in the camera frame at the time of the frame
 
@@ -93,7 +95,8 @@ class ExposureCompensation:
         self._accel_m_s2 = np.zeros(3)
         self._frame_interval_s = 0.0
         self._image_delays_s = NO_DELAYS_S
-        self._now = self._last = _Exposed(np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3)))
+        none = np.zeros(0, np.int64)
+        self._now = self._last = _Exposed(none, none, np.zeros(0), np.zeros((0, 3)))
 
     @staticmethod
     def imu_time_ns(stamp_ns: int, calibration: Calibration) -> int:
@@ -147,10 +150,10 @@ class ExposureCompensation:
         is_delayed = calibration.readouts_s.any() or self._camera_delays_s(calibration).any()
         if not is_delayed and calibration.time_offset_correction_s == 0.0:
             rays = np.column_stack([observations.xy, np.ones(len(observations))])
-            self._now = _Exposed(observations.ids, np.zeros(len(observations)), rays)
+            self._now = _Exposed(observations.ids, observations.camera, np.zeros(len(observations)), rays)
             return observations
         delay_s, rays, flow = self._moving(calibration, observations)
-        self._now = _Exposed(observations.ids, delay_s, rays)
+        self._now = self._with_unseen(_Exposed(observations.ids, observations.camera, delay_s, rays), calibration)
         kept = np.isfinite(flow[:, 0]) | (delay_s == 0.0)
         xy = rays[:, :2] - _displacement(delay_s, flow)
         names = {f.name for f in fields(observations)} - {"xy", "matches", "miscalibrated"}
@@ -239,13 +242,33 @@ class ExposureCompensation:
         i, j = common_rows(observations.ids, last.ids)
         if not len(i):
             return flow
-        # R_now_last of the cameras is the rotation vector at the time of the last frame.
-        rotation_imu = self._rotation.at(np.array([-self._frame_interval_s]))[0]
-        Rs_now_last = exp_so3(rotation_imu @ calibration.Ts_imu_cam[:, :3, :3])
-        before = np.einsum("nij,nj->ni", Rs_now_last[observations.camera[i]], last.rays[j])
+        before = np.einsum("nij,nj->ni", self._Rs_now_last(calibration)[observations.camera[i]], last.rays[j])
         elapsed_s = np.maximum(self._frame_interval_s + delay_s[i] - last.delay_s[j], MIN_FLOW_INTERVAL_S)
         flow[i] = (rays[i, :2] - before[:, :2] / before[:, 2:]) / elapsed_s[:, None]
         return flow
+
+    def _Rs_now_last(self, calibration: Calibration) -> Array:
+        """Return the rotations (C, 3, 3) of the cameras from the time of the last frame to that of the frame."""
+        rotation_imu = self._rotation.at(np.array([-self._frame_interval_s]))[0]
+        return exp_so3(rotation_imu @ calibration.Ts_imu_cam[:, :3, :3])
+
+    def _with_unseen(self, now: _Exposed, calibration: Calibration) -> _Exposed:
+        """Return observations of the frame with the last ones of the cameras that have none in it, at its time."""
+        last = self._last
+        delay_s = last.delay_s - self._frame_interval_s
+        kept = ~np.isin(last.camera, now.camera) & (delay_s > -MAX_GAP_S)
+        if not kept.any():
+            return now
+        camera = last.camera[kept]
+        rays = np.einsum("nij,nj->ni", self._Rs_now_last(calibration)[camera], last.rays[kept])
+        ids = np.concatenate([now.ids, last.ids[kept]])
+        order = np.argsort(ids)
+        return _Exposed(
+            ids[order],
+            np.concatenate([now.camera, camera])[order],
+            np.concatenate([now.delay_s, delay_s[kept]])[order],
+            np.concatenate([now.rays, rays / rays[:, 2:]])[order],
+        )
 
     def _matches_at_frame_time(
         self, calibration: Calibration, matches: Matches, observations: Observations, rays: Array, flow: Array

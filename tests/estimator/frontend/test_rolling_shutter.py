@@ -198,6 +198,35 @@ def test_velocities_include_uncompensated_observations() -> None:
     assert len(compensated) == len(points)
 
 
+@pytest.mark.parametrize("other", [True, False], ids=["in another camera", "in no camera"])
+def test_a_flow_is_that_since_the_last_image_of_the_camera(other: bool) -> None:
+    """An image is missing before the frame; meanwhile, another camera may see features of its own."""
+    path = Path(RATE, ANGULAR_ACCELERATION, R_IMU_CAM @ np.array([1.5, -0.8, 0.0]), O)
+    points, times, offset_s = landmarks(), ExposureCompensation(), 0.004
+    calibration = Calibration(Rig((GLOBAL, GLOBAL)), time_offset_correction_s=offset_s)
+    for t_s, is_seen in ((-2.0 * FRAME_S, True), (-FRAME_S, False), (0.0, True)):
+        seen = observations(exposed(path, GLOBAL, points, t_s, offset_s))
+        if not is_seen:
+            seen = replace(seen, ids=seen.ids - 200, camera=np.ones(len(points), np.int64))
+            seen = seen if other else seen.without(seen.ids)
+        begin(times, path, t_s)
+        compensated = times.at_frame_time(seen, calibration)
+    expected = projected(path, GLOBAL, points, np.zeros(len(points)))
+    found = PINHOLE.project(np.column_stack([compensated.xy, np.ones(len(points))]))
+    assert np.median(np.linalg.norm(seen.pixels - expected, axis=1)) > 3.0
+    assert np.linalg.norm(found - expected, axis=1).max() < 0.3
+
+
+def test_after_a_long_gap_there_is_no_flow() -> None:
+    path, points, times = Path(O, O, O, O), landmarks(), ExposureCompensation()
+    calibration = Calibration(Rig((GLOBAL,)), time_offset_correction_s=0.004)
+    for k in range(13):
+        seen = observations(exposed(path, GLOBAL, points, FRAME_S * k, 0.004))
+        begin(times, path, FRAME_S * k)
+        compensated = times.at_frame_time(seen if k in (0, 12) else seen.without(seen.ids), calibration)
+    assert not len(compensated)
+
+
 def test_angular_velocity_at_the_frame() -> None:
     times = ExposureCompensation()
     begin(times, Path(RATE, ANGULAR_ACCELERATION, O, O), 0.0)
