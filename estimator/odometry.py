@@ -115,7 +115,12 @@ class VisualInertialOdometry:
         parts, last, phase = self._parts, self._state, self._state.phase
         # Measurements: tracked features, and the IMU since the frame before
         packet = parts.pipeline.process(
-            frame, parts.calibration, phase.gyro_bias, moves=last.moves, contradicted=phase.is_contradicted
+            frame,
+            parts.calibration,
+            phase.gyro_bias,
+            moves=last.moves,
+            contradicted=phase.is_contradicted,
+            since_keyframe_s=last.since_keyframe_s,
         )
         parts.calibrator.add_frame(packet)
         # Estimate
@@ -157,7 +162,14 @@ class VisualInertialOdometry:
         # Innovation: errors of the time stamp, and health
         observations, calibration = packet.observations, parts.calibration
         parts.pipeline.compare_stamps(lambda: monitor.innovation(observations, predicted, calibration), predicted)
-        assessment = monitor.assess(observations, predicted, stationary, calibration, has_image=packet.has_image)
+        assessment = monitor.assess(
+            observations,
+            predicted,
+            stationary,
+            calibration,
+            has_image=packet.has_image,
+            is_left_out=packet.is_left_out,
+        )
         if assessment.loss is not None:
             return lose(parts, state, tracking, packet, assessment.loss, assessment)
         # Update by the window, if the frame becomes a keyframe

@@ -88,6 +88,14 @@ class OdometryState:
         """Whether the velocity at the frame was certainly not zero."""
         return self.estimate.state is not None and not velocity_may_be_zero(self.estimate.state)
 
+    @property
+    def since_keyframe_s(self) -> float | None:
+        """Time from the newest keyframe to the frame [s]; None unless the vehicle moves and the estimate tracks."""
+        phase = self.phase
+        if not isinstance(phase, Tracking) or self.estimate.health is not Health.TRACKING or not self.moves:
+            return None
+        return phase.propagator.elapsed_s
+
     def propagated(self, increments: Increments, gravity_m_s2: float) -> "OdometryState":
         """Return the state after the IMU increments up to the next frame."""
         phase = self.phase

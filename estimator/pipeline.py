@@ -16,6 +16,7 @@ from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.repetition import RepetitionFilter
 from dronevio.estimator.frontend.rolling_shutter import ExposureCompensation
+from dronevio.estimator.image_selection import ImageSelection
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
 from dronevio.estimator.imu.preintegration import PreintegrationParams
 from dronevio.estimator.initialization.gauge import BiasPrior
@@ -29,8 +30,11 @@ from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
-from dronevio.models.state import CameraFrame, Estimate, NavState
+from dronevio.models.state import NO_IMAGE, CameraFrame, Estimate, NavState
 
+MAX_DELAY_S = 0.001
+"""Longest time between an exposure and the time of its frame for images to be left out [s]: the flow between tracked
+images corrects for it, with an error that is proportional to the time between them."""
 CONTRADICTED_SIGMA_RAD = 0.02
 """Standard deviation of the rotation between frames by a gyroscope that the images contradict [rad]."""
 MAX_EXTRAPOLATION_S = 0.01
@@ -51,6 +55,7 @@ class MeasurementPipeline:
         self._front_end, self._imu, self._buffer = front_end, rig.imu, ImuBuffer(rig.imu)
         self._stamps = StampCorrection(rig.cameras[0].rate_hz, config.stamps)
         self._exposure, self._repetition = ExposureCompensation(config.gravity_m_s2), RepetitionFilter()
+        self._selection = ImageSelection(config.keyframe)
         self._zero_velocity = ZeroVelocityDetector(config.zero_velocity, config.gravity_m_s2)
         self._last_frame_ns: int | None = None
         self._outliers = 0  # of the IMU, up to the newest frame
@@ -68,6 +73,7 @@ class MeasurementPipeline:
         *,
         moves: bool = False,
         contradicted: bool = False,
+        since_keyframe_s: float | None = None,
     ) -> FramePacket:
         """Track the features into a frame and return its packet.
 
@@ -78,6 +84,7 @@ class MeasurementPipeline:
             moves: Whether the vehicle is known to move.
             contradicted: Whether the images contradict the gyroscope, so that it must not decide which features are
                 outliers.
+            since_keyframe_s: Time from the newest keyframe to the last frame [s]; None if every image is needed.
 
         Raises:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
@@ -101,6 +108,9 @@ class MeasurementPipeline:
         R_cur_prev = _camera_rotation(calibration, increments, gyro_bias.mean)
         rotation_sigma = float(gyro_bias.sigma * increments.dt_s.sum()) + increments.rotation_excess_sigma_rad
         frame = self._repetition.filtered(frame, R_cur_prev, rotation_sigma, moves=moves)
+        is_left_out = self._is_dispensable(increments, R_cur_prev, since_keyframe_s, calibration)
+        if is_left_out:
+            frame = replace(frame, images=(NO_IMAGE,) * len(calibration.rig.cameras))
         tracking_sigma = max(rotation_sigma, CONTRADICTED_SIGMA_RAD) if contradicted else rotation_sigma
         tracked = self._front_end.track(frame, R_cur_prev, tracking_sigma, calibration.rig)
         # Cameras that have no tracker of their own observe no features in a frame that the others lack.
@@ -112,15 +122,26 @@ class MeasurementPipeline:
         outliers, self._outliers = self._buffer.outliers - self._outliers, self._buffer.outliers
         if has_image:
             self._connection.add_frame(observations)
+            self._selection.add(tracked)
         return FramePacket(
             t_ns,
             increments,
             observations,
             has_image,
+            is_left_out,
             self._repetition.repeats,
             outliers,
             self._zero_velocity.stationary_s,
         )
+
+    def _is_dispensable(
+        self, increments: Increments, R_cur_prev: Array, since_keyframe_s: float | None, calibration: Calibration
+    ) -> bool:
+        """Return whether the images of a frame are left out; see `ImageSelection`."""
+        is_exact = self._exposure.longest_delay_s(calibration) <= MAX_DELAY_S and not self._stamps.is_irregular
+        if not is_exact or increments.is_degraded:
+            since_keyframe_s = None
+        return self._selection.leaves_out(increments.duration_s, R_cur_prev, since_keyframe_s)
 
     def compare_stamps(self, innovation: Callable[[], Innovation], predicted: NavState) -> None:
         """Compare irregular time stamps with the image of the newest frame; see `StampCorrection.compare`.

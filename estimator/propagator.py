@@ -192,6 +192,11 @@ class Propagator:
         frame_s, elapsed_s = packet.increments.duration_s, self._propagation.elapsed_s
         return self._policy.is_due(elapsed_s, frame_s, stationary_s, packet.observations, innovation_px)
 
+    @property
+    def elapsed_s(self) -> float:
+        """Time from the keyframe to the last frame [s]."""
+        return self._propagation.elapsed_s
+
     def end_stationary(self) -> tuple[FramePacket | None, list[FramePacket]]:
         """Return to the last frame at which the vehicle was certainly stationary, if there is one since the keyframe.
 

@@ -97,6 +97,8 @@ class FramePacket:
     """The observed features at that time."""
     has_image: bool = True
     """Whether a camera that tracks features has an image; without one, the IMU alone propagates the estimate."""
+    is_left_out: bool = False
+    """Whether the images are not tracked, since the image moves slowly and no keyframe is due."""
     repeats_image: bool = False
     """Whether an image was left out because it repeats the one before."""
     imu_outliers: int = 0

@@ -110,6 +110,11 @@ class ExposureCompensation:
         last_row_s = float((middle_s + 0.5 * calibration.readouts_s).max()) + calibration.time_offset_correction_s
         return float(max(last_row_s, -calibration.rig.time_offset_s, 0.0))
 
+    def longest_delay_s(self, calibration: Calibration) -> float:
+        """Return the longest time between an exposure and the time of the frame, before or after it [s]."""
+        middle_s = np.abs(self._camera_delays_s(calibration) + calibration.time_offset_correction_s)
+        return float((middle_s + 0.5 * calibration.readouts_s).max())
+
     def begin_frame(
         self, before: Increments, after: Increments, gyro_bias_rad_s: Array, image_delays_s: Array = NO_DELAYS_S
     ) -> None:

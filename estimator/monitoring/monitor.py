@@ -72,6 +72,7 @@ class HealthMonitor:
         self._since: _Since | None = None  # None before the first frame
         self._disconnection: _Disconnection | None = None
         self._loss: Reason | None = None
+        self._assessment: Assessment | None = None  # of the last frame whose images were tracked
 
     @property
     def is_consistent(self) -> bool:
@@ -147,6 +148,7 @@ class HealthMonitor:
         calibration: Calibration,
         *,
         has_image: bool = True,
+        is_left_out: bool = False,
     ) -> Assessment:
         """Return what is known about the estimate at a frame.
 
@@ -156,17 +158,21 @@ class HealthMonitor:
             stationary: Whether the vehicle is stationary, which constrains the estimate.
             calibration: The calibration in use.
             has_image: Whether the frame has an image; one that lacks it says nothing about the landmarks.
+            is_left_out: Whether its image was not tracked, so that what the last one said still holds.
         """
         c, t_ns = self._config, predicted.t_ns
         if not _is_finite(predicted):
             self._loss = self._loss or Reason.of(Cause.NOT_FINITE)
             return Assessment(tracks=len(observations), loss=self._loss)
 
+        position_sigma_m, velocity_sigma_m_s = _sigmas(predicted)
+        if is_left_out and self._assessment is not None:
+            return replace(self._assessment, position_sigma_m=position_sigma_m, velocity_sigma_m_s=velocity_sigma_m_s)
+
         # Innovation of the landmarks of known position
         innovation = self.innovation(observations, predicted, calibration)
         count, innovation_px, nis = len(innovation), innovation.median_px, innovation.nis
         is_constrained = count >= c.min_landmarks
-        position_sigma_m, velocity_sigma_m_s = _sigmas(predicted)
 
         # Since when the IMU alone, or against the landmarks, propagates the estimate
         since = self._since or _Since(t_ns, position_sigma_m, t_ns)
@@ -194,13 +200,14 @@ class HealthMonitor:
             inertial_only_s=(t_ns - since.constrained_ns) * 1e-9,
         )
         self._loss = self._loss or self._reason_of_loss(predicted, quantities, since)
-        return Assessment(
+        self._assessment = Assessment(
             **vars(quantities),
             loss=self._loss,
             is_consistent=self.is_consistent,
             stationary=stationary,
             has_image=has_image,
         )
+        return self._assessment
 
     def innovation(self, observations: Observations, predicted: NavState, calibration: Calibration) -> Innovation:
         """Return the innovation of a frame by the newest keyframe's landmarks; see `Reference.innovation`."""

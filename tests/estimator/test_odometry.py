@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from dronevio.estimator.backend.keyframes import KeyframeConfig
 from dronevio.estimator.backend.marginal_prior import MarginalPrior
 from dronevio.estimator.backend.marginalization import PendingMarginalization
 from dronevio.estimator.config import VioConfig
@@ -386,6 +387,41 @@ def test_frames_without_an_image_cost_little(make_flight: MakeFlight, rest_s: fl
     clean = flight.run()
     assert first <= 8 + next(k for k, estimate in enumerate(clean) if estimate.state is not None)
     assert ate_m(flight, poses(estimates)) < 2.0 * ate_m(flight, poses(clean))
+
+
+CALM = {"position_rates": np.full((3, 2), 0.4), "angle_rates": np.full((3, 2), 0.4)}
+SPARSE = VioConfig(keyframe=KeyframeConfig(every_image=False))
+
+
+def left_out(estimates: list[Estimate]) -> list[int]:
+    """Return the indices of the frames with a state whose images were not tracked."""
+    return [
+        k for k, e in enumerate(estimates) if e.state is not None and e.tracks is not None and not len(e.tracks.ids)
+    ]
+
+
+def test_images_that_are_left_out_in_calm_flight_cost_nothing(make_flight: MakeFlight) -> None:
+    """Between keyframes, no image is needed; the report is that of the last one that was tracked."""
+    flight = make_flight(1, rest_s=STATIONARY, duration_s=8.0, motion=CALM)
+    every, sparse = flight.run(), flight.run(config=SPARSE)
+    missing = left_out(sparse)
+    assert not left_out(every) and len(missing) > 60
+    assert not any("keyframe" in sparse[k].events for k in missing)
+    assert sum("keyframe" in e.events for e in sparse) == sum("keyframe" in e.events for e in every)
+    for k in missing:
+        now, before = sparse[k].health_report, sparse[k - 1].health_report
+        assert now is not None and before is not None and sparse[k].health is Health.TRACKING
+        assert (now.landmarks, now.innovation_nis) == (before.landmarks, before.innovation_nis)
+        assert now.position_sigma_m != before.position_sigma_m
+    assert ate_m(flight, poses(sparse)) < 1.2 * ate_m(flight, poses(every))
+
+
+@pytest.mark.parametrize(("offset_s", "readout_s"), [(0.004, 0.0), (0.0, 0.02)])
+def test_images_with_long_delays_are_all_tracked(make_flight: MakeFlight, offset_s: float, readout_s: float) -> None:
+    """Their flow corrects for the delays; the longer it is ago, the larger is the error."""
+    flight = make_flight(1, rest_s=STATIONARY, duration_s=5.0, motion=CALM)
+    camera = replace(flight.rig.cameras[0], readout_s=readout_s, time_offset_s=offset_s)
+    assert not left_out(replace(flight, rig=replace(flight.rig, cameras=(camera,))).run(config=SPARSE))
 
 
 @pytest.mark.parametrize("rest_s", [STATIONARY, IN_MOTION])
