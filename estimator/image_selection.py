@@ -37,14 +37,13 @@ class ImageSelection:
             R_cur_prev: (3, 3) Rotation of the camera since the frame before.
             since_keyframe_s: Time from the newest keyframe to the frame before [s]; None if every image is needed.
         """
-        c = self._config
         self._since_s += frame_s
-        if c.every_image or not frame_s or since_keyframe_s is None:
+        if self._config.every_image or not frame_s or since_keyframe_s is None:
             return False
         if self._policy.is_interval_over(since_keyframe_s + frame_s, frame_s, stationary=False):
             return False
         self._speed = max(self._speed, float(np.linalg.norm(log_so3(R_cur_prev))) / frame_s)
-        return c.interval_s * self._speed <= MAX_DISPLACEMENT
+        return self._config.interval_s * self._speed <= MAX_DISPLACEMENT
 
     def add(self, tracked: Observations) -> None:
         """Add the features of a frame whose images are tracked."""

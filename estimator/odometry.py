@@ -120,7 +120,7 @@ class VisualInertialOdometry:
             phase.gyro_bias,
             moves=last.moves,
             contradicted=phase.is_contradicted,
-            since_keyframe_s=last.since_keyframe_s,
+            since_keyframe_s=None if parts.config.keyframe.every_image else last.since_keyframe_s,
         )
         parts.calibrator.add_frame(packet)
         # Estimate

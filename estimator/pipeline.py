@@ -138,9 +138,9 @@ class MeasurementPipeline:
         self, increments: Increments, R_cur_prev: Array, since_keyframe_s: float | None, calibration: Calibration
     ) -> bool:
         """Return whether the images of a frame are left out; see `ImageSelection`."""
-        is_exact = self._exposure.longest_delay_s(calibration) <= MAX_DELAY_S and not self._stamps.is_irregular
-        if not is_exact or increments.is_degraded:
-            since_keyframe_s = None
+        if since_keyframe_s is not None:
+            is_exact = self._exposure.longest_delay_s(calibration) <= MAX_DELAY_S and not self._stamps.is_irregular
+            since_keyframe_s = since_keyframe_s if is_exact and not increments.is_degraded else None
         return self._selection.leaves_out(increments.duration_s, R_cur_prev, since_keyframe_s)
 
     def compare_stamps(self, innovation: Callable[[], Innovation], predicted: NavState) -> None:
