@@ -130,7 +130,7 @@ class VisualInertialOdometry:
         else:
             state = initialize(parts, state, state.phase, packet)
         # Another time offset of camera and IMU, if they contradict each other
-        offset = parts.calibrator.other_offset() if state.phase.is_contradicted else None
+        offset = parts.calibrator.other_offset() if state.phase.searches_offset else None
         self._state = state if offset is None else with_offset(parts, state, packet, offset)
         return self._state.estimate
 

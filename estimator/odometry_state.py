@@ -37,6 +37,11 @@ class Initializing:
         return self.initializer.is_contradicted
 
     @property
+    def searches_offset(self) -> bool:
+        """Whether another time offset is searched for: not at a frame whose time a late attempt has taken."""
+        return self.is_contradicted and not self.initializer.is_busy
+
+    @property
     def gyro_bias(self) -> BiasPrior:
         """What is known of the gyroscope bias [rad/s]."""
         return self.initializer.gyro_bias
@@ -65,6 +70,11 @@ class Tracking:
     def is_contradicted(self) -> bool:
         """Whether images and IMU contradict each other."""
         return not self.monitor.is_consistent
+
+    @property
+    def searches_offset(self) -> bool:
+        """Whether another time offset of camera and IMU is searched for."""
+        return self.is_contradicted
 
     @property
     def gyro_bias(self) -> BiasPrior:

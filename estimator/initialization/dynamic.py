@@ -104,6 +104,20 @@ class DynamicInitializationConfig(Settings):
 
 
 @dataclass(frozen=True, eq=False)
+class ObservedRotation:
+    """The first half of a dynamic initialization: a window, and the gyroscope bias by its images."""
+
+    t_ns: int
+    """Time of the first frame of the window [ns]."""
+    measured: WindowMeasurements
+    """The tracks and the IMU of the window."""
+    epipolar: EpipolarSolution
+    """The gyroscope bias by epipolar geometry."""
+    is_stereo: bool
+    """Whether several cameras observe the landmarks at once; see `is_stereo`."""
+
+
+@dataclass(frozen=True, eq=False)
 class DynamicStart:
     """The result of a dynamic initialization."""
 
@@ -140,32 +154,61 @@ def initialize_dynamic(
         accel_bias: What is known of the accelerometer bias [m/s²].
         gravity_m_s2: Magnitude of gravity [m/s²].
     """
+    rotation = observed_rotation(window, Ts_imu_cam, focal_px, config, gyro_bias, gravity_m_s2)
+    if isinstance(rotation, NotObservable):
+        return rotation
+    return dynamic_start(rotation, focal_px, config, gyro_bias, accel_bias, gravity_m_s2)
+
+
+def observed_rotation(
+    window: Sequence[FramePacket],
+    Ts_imu_cam: Array,
+    focal_px: float,
+    config: DynamicInitializationConfig,
+    gyro_bias: BiasPrior,
+    gravity_m_s2: float = GRAVITY_M_S2,
+) -> ObservedRotation | NotObservable:
+    """Return the first half of `initialize_dynamic`, which has the same arguments, or the reason against a start."""
     c, stereo = config, is_stereo(window, config)
     measured = WindowMeasurements.of(window, Ts_imu_cam, c.max_frames, c.min_observations)
-    tracks, gyro_rad_s, xy_sigma = measured.tracks, measured.imu.increments.gyro_rad_s, c.pixel_sigma / focal_px
-    implausible = implausible_imu(gyro_rad_s, measured.imu.increments.accel_m_s2, gravity_m_s2)
+    increments = measured.imu.increments
+    implausible = implausible_imu(increments.gyro_rad_s, increments.accel_m_s2, gravity_m_s2)
     if implausible is not None:
         return implausible
-    if len(tracks) < c.min_landmarks:
+    if len(measured.tracks) < c.min_landmarks:
         return NotObservable(
-            f"{len(tracks)} features are tracked for long enough, {c.min_landmarks} are needed: more texture or light,"
-            " and slower motion, help"
+            f"{len(measured.tracks)} features are tracked for long enough, {c.min_landmarks} are needed: more texture"
+            " or light, and slower motion, help"
         )
-    rotation = epipolar_gyro_bias(measured, gyro_bias, xy_sigma, c.outlier_sigmas)
-    parallax_px = measured.median_parallax_rad(rotation.bias_rad_s) * focal_px
+    epipolar = epipolar_gyro_bias(measured, gyro_bias, c.pixel_sigma / focal_px, c.outlier_sigmas)
+    parallax_px = measured.median_parallax_rad(epipolar.bias_rad_s) * focal_px
     needed_px = c.min_parallax_sigmas * c.pixel_sigma
     if not stereo and parallax_px < needed_px:
         return NotObservable(
             f"a parallax of {rounded_down(parallax_px)} px, {needed_px:g} px are needed: motion sideways helps, or rest"
         )
-    noise = NoiseModel(xy_sigma, c.outlier_sigmas, accel_bias, gravity_m_s2)
-    cause = probable_cause(rotation, float(np.sqrt(np.var(gyro_rad_s, axis=0).sum())), c)
+    return ObservedRotation(window[0].t_ns, measured, epipolar, stereo)
+
+
+def dynamic_start(
+    rotation: ObservedRotation,
+    focal_px: float,
+    config: DynamicInitializationConfig,
+    gyro_bias: BiasPrior,
+    accel_bias: BiasPrior,
+    gravity_m_s2: float = GRAVITY_M_S2,
+) -> DynamicStart | NotObservable:
+    """Return the second half of `initialize_dynamic`, which has the same arguments, after the first."""
+    c, measured, epipolar = config, rotation.measured, rotation.epipolar
+    noise = NoiseModel(c.pixel_sigma / focal_px, c.outlier_sigmas, accel_bias, gravity_m_s2)
+    angular_velocity_rad_s = float(np.sqrt(np.var(measured.imu.increments.gyro_rad_s, axis=0).sum()))
+    cause = probable_cause(epipolar, angular_velocity_rad_s, c)
     try:
-        initial = solve_closed_form(measured, rotation.bias_rad_s, rotation.weights, noise)
+        initial = solve_closed_form(measured, epipolar.bias_rad_s, epipolar.weights, noise)
         refined = refine(measured, initial, gyro_bias, noise)
         state = refined.state
         motion = measured.imu.integrated(state.gyro_bias).motion()
-        reason = _reason_against(refined, cause, motion, stereo, accel_bias.sigma, c)
+        reason = _reason_against(refined, cause, motion, rotation.is_stereo, accel_bias.sigma, c)
         if reason is not None:
             return reason
         free = refine(measured, state, gyro_bias, noise, TIME_OFFSET_SIGMA_S)
@@ -173,8 +216,8 @@ def initialize_dynamic(
         return NotObservable("no motion explains images and IMU together", cause)
     R_world_imu = level_rotation(-state.gravity)
     pose, velocity = pose_matrix(R_world_imu, np.zeros(3)), R_world_imu @ state.velocity
-    start = NavState(window[0].t_ns, pose, velocity, state.gyro_bias, state.accel_bias)
-    return DynamicStart(start, tracks.ids[~refined.inliers], _evidence_of_time_offset(free))
+    start = NavState(rotation.t_ns, pose, velocity, state.gyro_bias, state.accel_bias)
+    return DynamicStart(start, measured.tracks.ids[~refined.inliers], _evidence_of_time_offset(free))
 
 
 def _evidence_of_time_offset(free: RefinedState) -> NotObservable | None:

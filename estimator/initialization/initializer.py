@@ -21,8 +21,10 @@ from dronevio.estimator.imu.preintegration import Preintegration, Preintegration
 from dronevio.estimator.initialization.dynamic import (
     DynamicInitializationConfig,
     DynamicStart,
-    initialize_dynamic,
+    ObservedRotation,
+    dynamic_start,
     is_stereo,
+    observed_rotation,
 )
 from dronevio.estimator.initialization.gauge import BiasPrior, Gauge
 from dronevio.estimator.initialization.not_observable import (
@@ -48,8 +50,8 @@ contain a slow rotation."""
 NO_SOLUTION = "images and IMU do not determine the motion: motion sideways past near objects helps"
 """Reason where the smoother finds no solution."""
 EARLY_ATTEMPTS = 16
-"""Number of attempts in motion, within four seconds, after which they become half as frequent. Where measurements
-belong together, nearly all starts succeed within them."""
+"""Number of attempts in motion, within four seconds, after which each takes two frames, and they become half as
+frequent. Where measurements belong together, nearly all starts succeed within them."""
 NOISE_ROUNDS = 4
 """Largest number of initial adjustments in motion, each with the noise of the IMU that the one before has shown."""
 NOISY_ACCEL_BIAS_SIGMA_M_S2 = 0.03
@@ -124,6 +126,8 @@ class Initializer:
         self._last_attempt_ns: int | None = None
         self._attempts = 0
         self._needs_longer_window = False
+        self._begun: tuple[list[FramePacket], ObservedRotation] | None = None  # the window of a late attempt
+        self._is_busy = False
         self._replenished_ns: int | None = None
         self._last_reason = NotObservable("no images so far")
 
@@ -136,6 +140,11 @@ class Initializer:
     def is_contradicted(self) -> bool:
         """Whether IMU and images contradicted each other at the last attempt."""
         return bool(self._last_reason.cause)
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a late attempt took the time of the last frame."""
+        return self._is_busy
 
     def needs_features(self, packet: FramePacket) -> bool:
         """Return whether new features should be detected in a frame: if there are few, or at the keyframe interval."""
@@ -172,26 +181,41 @@ class Initializer:
         """
         c, t_ns = self._config, packet.t_ns
         self.collect(packet)
+        self._is_busy = False
         if not packet.has_image:
             return self._last_reason
+        begun, self._begun = self._begun, None
         if stationary_s >= MOTION_DETECTION_DELAY_S:  # a shorter time is that between two frames of a slow motion
             return self._static(self._since(t_ns, stationary_s), calibration, gauge, noise)
+        if begun is not None:  # the second half of a late attempt
+            self._is_busy = True
+            return self._noted(self._dynamic([*begun[0], self._window[-1]], begun[1], calibration, gauge, noise))
         stereo = is_stereo(self._window, c.dynamic)
         needed_s = c.dynamic.stereo_window_s if stereo else c.dynamic.window_s
-        window = self._since(t_ns, needed_s)
+        window, longest = self._since(t_ns, needed_s), self._since(t_ns, c.dynamic.max_window_s)
         span_s = (t_ns - window[0].t_ns) * 1e-9
         if span_s < needed_s - TIME_TOLERANCE_NS * 1e-9:
             return too_short(span_s, c.static_window_s, needed_s)
-        last_ns = self._last_attempt_ns
-        if self._needs_longer_window:
-            window = self._since(t_ns, c.dynamic.max_window_s)
-        elif last_ns is not None and t_ns - last_ns < self._attempt_interval_s * 1e9:
-            return self._last_reason
-        else:
+        last_ns, is_late = self._last_attempt_ns, self._attempts >= EARLY_ATTEMPTS
+        is_longest = self._needs_longer_window
+        if not is_longest:
+            if last_ns is not None and t_ns - last_ns < self._attempt_interval_s * 1e9:
+                return self._last_reason
             self._last_attempt_ns, self._attempts = t_ns, self._attempts + 1
-        result = self._dynamic(window, calibration, gauge, noise)
-        has_longer = not stereo and len(self._since(t_ns, c.dynamic.max_window_s)) > len(window)
+            is_longest = is_late and not stereo and self._attempts % 2 == 0
+        window = longest if is_longest else window
+        # Late attempts are divided between two frames, and have one of the windows; early ones have both
+        rotation = self._rotation(window, calibration, noise)
+        if is_late and not isinstance(rotation, NotObservable):
+            self._begun, self._is_busy, self._needs_longer_window = (window, rotation), True, False
+            return self._last_reason
+        result = self._dynamic(window, rotation, calibration, gauge, noise)
+        has_longer = not stereo and len(longest) > len(window)
         self._needs_longer_window = isinstance(result, NotObservable) and has_longer  # at the next frame
+        return self._noted(result)
+
+    def _noted(self, result: KeyframeSmoother | NotObservable) -> KeyframeSmoother | NotObservable:
+        """Remember the reason against a start, if that is the result of an attempt, and return the result."""
         self._last_reason = result if isinstance(result, NotObservable) else self._last_reason
         return result
 
@@ -217,16 +241,36 @@ class Initializer:
         smoother, _ = self._adjusted(start, sigmas, window, calibration, gauge, noise.params, stationary=True)
         return smoother or NotObservable(NO_SOLUTION)
 
+    @property
+    def _gyro_bias_in_motion(self) -> BiasPrior:
+        """What is known of the gyroscope bias in a window in motion."""
+        return replace(self._gyro_bias, sigma=max(self._gyro_bias.sigma, REST_GYRO_BIAS_SIGMA_RAD_S))
+
+    def _rotation(
+        self, window: Sequence[FramePacket], calibration: Calibration, noise: ImuNoiseEstimator
+    ) -> ObservedRotation | NotObservable:
+        """Return the first half of an attempt in motion."""
+        Ts_imu_cam, focal_px = calibration.Ts_imu_cam, float(calibration.focal_px[0])
+        bias, gravity_m_s2 = self._gyro_bias_in_motion, noise.params.gravity_m_s2
+        return observed_rotation(window, Ts_imu_cam, focal_px, self._config.dynamic, bias, gravity_m_s2)
+
     def _dynamic(
-        self, window: Sequence[FramePacket], calibration: Calibration, gauge: Gauge, noise: ImuNoiseEstimator
+        self,
+        window: Sequence[FramePacket],
+        rotation: ObservedRotation | NotObservable,
+        calibration: Calibration,
+        gauge: Gauge,
+        noise: ImuNoiseEstimator,
     ) -> KeyframeSmoother | NotObservable:
+        """Return the result of an attempt in motion, whose first half is the rotation."""
+        if isinstance(rotation, NotObservable):
+            return rotation
         c = self._config
-        gyro_bias = replace(self._gyro_bias, sigma=max(self._gyro_bias.sigma, REST_GYRO_BIAS_SIGMA_RAD_S))
         focal_px, gravity_m_s2 = float(calibration.focal_px[0]), noise.params.gravity_m_s2
 
         def start_of(accel_bias: BiasPrior) -> DynamicStart | NotObservable:
-            Ts_imu_cam = calibration.Ts_imu_cam
-            return initialize_dynamic(window, Ts_imu_cam, focal_px, c.dynamic, gyro_bias, accel_bias, gravity_m_s2)
+            bias = self._gyro_bias_in_motion
+            return dynamic_start(rotation, focal_px, c.dynamic, bias, accel_bias, gravity_m_s2)
 
         start = start_of(self._accel_bias)
         if isinstance(start, NotObservable):

@@ -17,7 +17,7 @@ from dronevio.estimator.imu.buffer import ImuBuffer, Increments
 from dronevio.estimator.imu.noise import ImuNoiseEstimator, NoiseEstimationConfig
 from dronevio.estimator.imu.preintegration import PreintegrationConfig
 from dronevio.estimator.initialization import initializer as module
-from dronevio.estimator.initialization.dynamic import initialize_dynamic
+from dronevio.estimator.initialization.dynamic import dynamic_start
 from dronevio.estimator.initialization.gauge import Gauge, LastPublished, WorldOrigin
 from dronevio.estimator.initialization.initializer import Initializer, InitializerConfig
 from dronevio.estimator.initialization.not_observable import NotObservable
@@ -220,7 +220,7 @@ def test_window_spans_its_time_at_any_frame_rate(
         windows.append(window)
         return NotObservable("nothing but the window counts")
 
-    monkeypatch.setattr(module, "initialize_dynamic", attempted)
+    monkeypatch.setattr(module, "observed_rotation", attempted)
     initializer, needed_s, waited = initializer_at(gauge), CONFIG.dynamic.window_s, []
     for packet in packets_at(t_s):
         result = add(initializer, flight, packet, 0.0, gauge)
@@ -241,7 +241,7 @@ def test_rest_between_two_frames_is_no_rest(make_flight: MakeFlight, monkeypatch
         attempts.append(window)
         return NotObservable("a reason in motion")
 
-    monkeypatch.setattr(module, "initialize_dynamic", attempted)
+    monkeypatch.setattr(module, "observed_rotation", attempted)
     initializer, result = initializer_at(gauge), None
     for index, packet in enumerate(packets_at(np.arange(0.0, 2.0, 1.0 / 60.0))):
         result = add(initializer, flight, packet, (index % 3) / 60.0, gauge)
@@ -296,26 +296,64 @@ def test_a_start_of_two_cameras_tells_another_time_offset(make_flight: MakeFligh
     assert found is not None and abs(float(found[1]) - 1e3 * offset_s) <= 2.0
 
 
-def test_attempts_become_less_frequent(make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sixteen attempts that fail, each with a longer window at the next frame, and then half as many."""
-    flight, gauge = make_flight(0, rest_s=-5.0, duration_s=10.0), WorldOrigin(0.05, 0.1)
-    initializer, noise = initializer_at(gauge), noise_of(flight)
-    attempts_s: list[float] = []
+def test_late_attempts_are_divided_and_less_frequent(make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sixteen attempts that fail, each with both windows; then half as many, each over two frames with one window."""
+    flight, gauge = make_flight(0, rest_s=-5.0, duration_s=12.0), WorldOrigin(0.05, 0.1)
+    initializer, noise, begins = initializer_at(gauge), noise_of(flight), list[tuple[int, float]]()
+    packets, halves, busy = packets_of(flight, 230), list[int](), list[int]()
 
-    def failed(window: Sequence[FramePacket], *_: object) -> NotObservable:
-        attempts_s.append((window[-1].t_ns - int(flight.frame_times_ns[0])) * 1e-9)
+    def observed(window: Sequence[FramePacket], *_: object) -> Any:
+        begins.append((index, (window[-1].t_ns - window[0].t_ns) * 1e-9))
+        return "a rotation"
+
+    def failed(*_: object) -> NotObservable:
+        halves.append(index)
         return NotObservable("nothing fits")
 
-    monkeypatch.setattr(initializer, "_dynamic", failed)
-    for packet in packets_of(flight, 190):
+    monkeypatch.setattr(module, "observed_rotation", observed)
+    monkeypatch.setattr(module, "dynamic_start", failed)
+    for index, packet in enumerate(packets):
         initializer.add(packet, 0.0, Calibration(flight.rig), gauge, noise)
-    intervals_s = np.diff(
-        [each for i, each in enumerate(attempts_s) if i == 0 or each - attempts_s[i - 1] > 1.5 * FRAME_S]
-    )
-    interval_s = CONFIG.dynamic.attempt_interval_s
-    np.testing.assert_allclose(intervals_s[:15], interval_s, atol=1e-6)
-    np.testing.assert_allclose(intervals_s[15:], 2.0 * interval_s, atol=1e-6)
-    assert len(intervals_s) > 20
+        busy += [index] if initializer.is_busy else []
+    # The first attempt has no longer window yet; that of the last one is late
+    every, first = round(CONFIG.dynamic.attempt_interval_s / FRAME_S), begins[0][0]
+    early = [first + every * k + again for k in range(module.EARLY_ATTEMPTS) for again in (0, 1)][:-1]
+    early.remove(first + 1)
+    assert [k for k, _ in begins[: len(early)]] == halves[: len(early)] == early
+    late = begins[len(early) :]
+    assert late[0][0] == early[-1] + 1 and late[1][0] == early[-1] + 2 * every and len(late) > 8
+    np.testing.assert_array_equal(np.diff([k for k, _ in late[1:]]), 2 * every)
+    assert halves[len(early) :] == [k + 1 for k, _ in late]
+    assert busy == sorted(k + i for k, _ in late for i in (0, 1))
+    spans_s = CONFIG.dynamic.max_window_s, CONFIG.dynamic.window_s
+    assert [span_s for _, span_s in late] == pytest.approx([spans_s[k % 2] for k in range(len(late))])
+
+
+def test_a_late_attempt_starts_at_its_second_frame(make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The window of the first frame and the second frame are adjusted together; a frame without image is bridged."""
+    flight, gauge = make_flight(0, rest_s=-5.0, duration_s=3.0), WorldOrigin(0.05, 0.1)
+    monkeypatch.setattr(module, "EARLY_ATTEMPTS", 0)
+    initializer, packets = initializer_at(gauge), packets_of(flight, 34)
+    results = [add(initializer, flight, packet, 0.0, gauge) for packet in packets[:31]]
+    assert all(isinstance(result, NotObservable) for result in results)
+    missing = replace(packets[31], observations=NO_FEATURES, has_image=False)
+    assert isinstance(add(initializer, flight, missing, 0.0, gauge), NotObservable)
+    smoother = add(initializer, flight, packets[32], 0.0, gauge)
+    assert isinstance(smoother, KeyframeSmoother) and smoother.state.t_ns == packets[32].t_ns
+    truth = flight.state_at(packets[32].t_ns)
+    R, R_true = smoother.state.T_world_imu[:3, :3], truth.T_world_imu[:3, :3]
+    np.testing.assert_allclose(R.T @ smoother.state.velocity_m_s, R_true.T @ truth.velocity_m_s, atol=0.15)
+
+
+def test_at_rest_a_late_attempt_is_given_up(make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch) -> None:
+    flight, gauge = make_flight(0, rest_s=-5.0, duration_s=3.0), WorldOrigin(0.05, 0.1)
+    monkeypatch.setattr(module, "EARLY_ATTEMPTS", 0)
+    initializer, packets = initializer_at(gauge), packets_of(flight, 34)
+    for packet in packets[:31]:
+        add(initializer, flight, packet, 0.0, gauge)
+    assert initializer.is_busy
+    result = add(initializer, flight, packets[31], 0.3, gauge)
+    assert isinstance(result, NotObservable) and "stationary" in result.reason and not initializer.is_busy
 
 
 def test_reason_without_any_image(make_flight: MakeFlight) -> None:
@@ -354,16 +392,15 @@ def test_noise_is_not_taken_for_an_accelerometer_bias(
 ) -> None:
     """Once residuals show more noise, the start is repeated with a bias that is hardly free."""
     flight, priors, biases = make_flight(2, rest_s=-5.0, duration_s=2.0, imu_noise=imu_noise), [], []
-    initialize = initialize_dynamic
 
     def recorded(*arguments: Any) -> Any:
-        start = initialize(*arguments)
+        start = dynamic_start(*arguments)
         if not isinstance(start, NotObservable):
-            priors.append(arguments[5])
+            priors.append(arguments[4])
             biases.append(float(np.linalg.norm(start.state.accel_bias_m_s2)))
         return start
 
-    monkeypatch.setattr(module, "initialize_dynamic", recorded)
+    monkeypatch.setattr(module, "dynamic_start", recorded)
     gauge, noise = WorldOrigin(gyro_bias_sigma_rad_s=0.05, accel_bias_sigma_m_s2=0.1), noise_of(flight)
     noise.add_imu(flight.imu)
     initializer = initializer_at(gauge)
