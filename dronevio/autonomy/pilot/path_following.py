@@ -66,16 +66,15 @@ class PathFollowing:
         """
         # Turn before flying where the cameras do not see
         is_askew = askew_rad is not None and abs(remainder(askew_rad, tau)) > _ASKEW_RAD
-        if is_askew and m.is_at_rest:
+        if is_askew and m.speed_m_s < STILL_M_S:
             self._progress_ns = m.now_ns
-            return Step("turn", at_rest(m.position_m))
-        # Fly as far as is known to be free, unless the vehicle is about to turn
-        if not is_askew or m.speed_m_s >= STILL_M_S:
-            slow = max(_SLOW_M_S, 0.8 * m.speed_m_s)
-            limits = replace(self._limits, speed_m_s=slow) if is_askew else self._limits
-            trajectory = trajectory_along(space, ahead, m.start, m.body, limits)
-            if trajectory is not None and self._leads_on(m, trajectory.control_points[-1, -1]):
-                return Step("fly", trajectory)
+            return Step("turn", self.halt(m, space))
+        # Fly as far as is known to be free
+        slow = max(_SLOW_M_S, 0.8 * m.speed_m_s)
+        limits = replace(self._limits, speed_m_s=slow) if is_askew else self._limits
+        trajectory = trajectory_along(space, ahead, m.start, m.body, limits)
+        if trajectory is not None and self._leads_on(m, trajectory.control_points[-1, -1]):
+            return Step("fly", trajectory)
         # Without a new trajectory: fly on if the last one is still free, otherwise stop
         if m.speed_m_s > 0.5 * STILL_M_S and is_blocked(m, space, rest):
             return Step("the trajectory is blocked: stop", stop(space, m.start, m.body, self._limits))
