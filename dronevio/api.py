@@ -29,7 +29,7 @@ from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.segments import segments_of
 from dronevio.models.rig import Rig
 from dronevio.recording.recorder import record_closed_loop, record_flight
-from dronevio.sfm_inputs import EarlierResult, read_earlier, read_poses
+from dronevio.sfm_inputs import EarlierResult, read_earlier, read_poses, with_cameras_of
 from dronevio.sim.closed_loop.settings import LoopSettings
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.scenarios import scenario_named
@@ -193,6 +193,7 @@ def sfm(
     opened = images if isinstance(images, ImageSet) else open_images(images)
     kept = Workspace(None if workspace is None else Path(workspace))
     if isinstance(poses, str | Path):
+        opened = with_cameras_of(Path(poses), opened)
         poses = read_poses(Path(poses), opened)
     if add_to is None:
         return reconstruct(opened, config, kept, notebook_line, poses=poses, strict=strict)

@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -87,7 +87,9 @@ def read_poses(
         InputError: The path is none of these, or is damaged.
         ConfigError: A trajectory cannot be assigned to the images, or no image has a pose.
     """
-    if path.is_dir() and any(is_colmap(path / name) for name in ("", "colmap-binary/0", "colmap-text/0")):
+    if not path.exists():
+        raise InputError(path, "no such file or folder", "a trajectory, a recording with truth, or a model of COLMAP")
+    if _is_model(path):
         if of is not None:
             raise ConfigError(f"{path}: poses of the {of}; a model of COLMAP has those of the cameras")
         Ts_world_cam, is_vertical = _poses_by_name(path, images), False
@@ -97,6 +99,31 @@ def read_poses(
     if known < 2:
         raise ConfigError(f"{path}: poses of {known} of the {len(images)} images; expected at least 2")
     return KnownPoses(Ts_world_cam, sigma_rad, sigma_m, is_vertical)
+
+
+def with_cameras_of(path: Path, images: ImageSet) -> ImageSet:
+    """Return images whose cameras without calibration begin with those of the model of COLMAP that has their poses.
+
+    Args:
+        path: The poses, see `read_poses`; those of a trajectory have no cameras.
+        images: The images.
+    """
+    if not _is_model(path):
+        return images
+    model, row = read_reconstruction(path), {name: i for i, name in enumerate(images.names)}
+    cameras = list(images.cameras)
+    for name, number in zip(model.image_names, model.image_camera.tolist(), strict=True):
+        k = int(images.image_camera[row[name]]) if name in row else -1
+        known, given = model.cameras[number], cameras[k]
+        has_size = (known.width, known.height) == (given.width, given.height)
+        if k >= 0 and has_size and not images.is_calibrated[k]:
+            cameras[k] = known
+    return replace(images, cameras=tuple(cameras))
+
+
+def _is_model(path: Path) -> bool:
+    """Return whether a path is a model of COLMAP, or the result of ``dronevio sfm`` with one."""
+    return path.is_dir() and any(is_colmap(path / name) for name in ("", "colmap-binary/0", "colmap-text/0"))
 
 
 def _poses_by_name(path: Path, images: ImageSet) -> Array:

@@ -113,10 +113,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"dronevio: not enough memory{f': {error}' if str(error) else ''}", file=sys.stderr)
         return 2
     except Exception as error:
+        if _follows_interrupt(error):
+            print("dronevio: interrupted", file=sys.stderr)
+            return 130
         if debug:
             traceback.print_exc()
         what = f"{error}" if isinstance(error, DefectError) else f"{type(error).__name__}: {error}"
         return report_defect(what, args, debug)
+
+
+def _follows_interrupt(error: BaseException | None) -> bool:
+    """Return whether an error is one of ending after Ctrl-C, which a viewer has received, too."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def report_defect(what: str, arguments: Sequence[str], debug: bool = False) -> int:

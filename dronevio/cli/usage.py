@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence
 
 from dronevio.cli.settings.named_fields import named_fields
+from dronevio.models.errors import unknown_name
 from dronevio.models.ranges import FINITE, RangeError, number_fields
 
 WIDTH = 10_000
@@ -27,9 +28,20 @@ def usage_message(printed: str, program: str) -> str:
     text = re.sub(r"invalid literal for int\(\) with base 10: (.*)", r"\1; expected a whole number", text)
     text = re.sub(r"could not convert string to float: (.*)", r"\1; expected a number", text)
     text = re.sub(r"Error parsing (\S+?): ", r"\1 ", text)
-    similar = re.findall(r"^    (-\S+)", "\n".join(sections[1:]), re.MULTILINE) if "Perhaps you" in printed else []
+    text = re.sub(
+        r"(\S+) no type matching .*?<class '(?:int|float)'>: ('.*?'; expected a (?:whole )?number).*", r"\1 \2", text
+    )
+    text = re.sub(r"invalid choice '(.*?)' for argument '(\S+)'\. Expected one of \((.*)\)", _choice_message, text)
+    similar = re.findall(r"^    (-[^\s,]+)", "\n".join(sections[1:]), re.MULTILINE) if "Perhaps you" in printed else []
     meant = f"; did you mean {' or '.join(similar[:3])}?" if similar else ""
     return f"{text.rstrip('.')}{meant} (see {program} --help)"
+
+
+def _choice_message(found: re.Match[str]) -> str:
+    """Return what is expected of an option in place of an invalid choice, with the choices that are like it."""
+    given, option, listed = found.groups()
+    choices = [each for each in re.findall(r"'(.*?)'", listed) if each != "None"]
+    return f"{option}: {unknown_name('choice', given, sorted(choices))}".replace("unknown", "invalid", 1)
 
 
 def _content(printed: str) -> list[str]:

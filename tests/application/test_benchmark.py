@@ -162,7 +162,7 @@ def test_done_runs_are_not_done_again_and_failures_are_listed(
         main(["benchmark", "--recordings", str(flown.folder), "--estimators", *named, "--out", str(many.folder)]) == 0
     )
     shown = capsys.readouterr().out
-    assert "1 of 2 runs failed" in shown
+    assert "1 of 2 runs failed (--retry repeats them):" in shown
     assert "segfault: crashed" in shown
     assert len(notes(place)) == started
     assert (many.folder / "results.parquet").read_bytes() == before

@@ -13,7 +13,7 @@ import pytest
 import tyro
 
 from dronevio import __version__, book
-from dronevio.cli import COMMANDS, main
+from dronevio.cli import COMMANDS, DEFECT_EXIT_CODE, main
 from dronevio.cli.commands import policy, speed
 from dronevio.cli.dispatch import CommandGroup
 
@@ -100,6 +100,42 @@ def test_unknown_command_is_bad_input(arguments: list[str], capsys: pytest.Captu
     expected = f"dronevio: unknown command {words!r}; expected one of {', '.join(group.subcommands)}"
     hint = "; did you mean run?" if arguments == ["Run"] else ""
     assert captured.err.startswith(expected + hint) and captured.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("sfm a.mp4 --every ten", "--every 'ten'; expected a whole number"),
+        ("explore --task covr", "--task: invalid choice 'covr'; expected one of cover, reach; did you mean cover?"),
+        ("convert a b --to openvin", "kimera, mcap, openvins, orbslam3, tum, vins; did you mean openvins?"),
+        ("dense house --keep-depth", "--keep-depth; did you mean --keep-depths? "),
+        ("sfm a --pose-sigma-m 0.1", "--pose-sigma-m without --poses; expected --poses, too"),
+        ("sfm a --poses-of imu --pose-sigma-deg 1", "--poses-of and --pose-sigma-deg without --poses"),
+    ],
+)
+def test_wrong_arguments_are_explained_on_one_line(
+    words: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words.split()) == 2
+    captured = capsys.readouterr()
+    assert message in captured.err and captured.err.count("\n") == 1 and "None" not in captured.err
+
+
+@pytest.mark.parametrize(("interrupts", "status"), [(True, 130), (False, DEFECT_EXIT_CODE)])
+def test_an_error_after_ctrl_c_is_no_defect(
+    interrupts: bool, status: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A viewer receives Ctrl-C, too, and what is sent to it then fails."""
+
+    def run(arguments: list[str]) -> int:
+        try:
+            raise KeyboardInterrupt if interrupts else ValueError
+        finally:
+            raise RuntimeError("connection severed")
+
+    monkeypatch.setattr(COMMANDS, "run", run)
+    assert main(["scenarios"]) == status
+    assert (capsys.readouterr().err == "dronevio: interrupted\n") is interrupts
 
 
 def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dronevio.models.camera import CameraModel
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.image_sets import ImageSet, InertialData
 from dronevio.models.imu import EUROC_IMU, ImuSamples
 from dronevio.models.reconstruction import Reconstruction
@@ -15,7 +15,7 @@ from dronevio.models.reconstructions import write_reconstruction
 from dronevio.models.recordings.tum import write_tum
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import Trajectory
-from dronevio.sfm_inputs import read_poses
+from dronevio.sfm_inputs import read_poses, with_cameras_of
 
 T_IMU_CAM = pose_matrix(exp_so3(np.array([0.0, 0.0, np.pi / 2])), np.array([0.1, 0.0, 0.0]))
 OFFSET_S = 0.02
@@ -63,12 +63,13 @@ def test_poses_of_the_imu_and_of_the_camera(images: ImageSet, trajectory: Path) 
     assert (camera.sigma_m, camera.sigma_rad) == (0.1, 0.01)
 
 
-def test_poses_by_the_names_of_images(images: ImageSet, tmp_path: Path) -> None:
+def write_model(images: ImageSet, folder: Path, camera: CameraModel) -> None:
+    """Write a model of COLMAP with two of the images, as dronevio sfm writes it."""
     Ts = np.tile(np.eye(4), (2, 1, 1))
     Ts[1, 0, 3] = 3.0
     none = np.empty(0, np.int64)
     model = Reconstruction(
-        images.cameras,
+        (camera,),
         (images.names[2], images.names[0]),
         np.zeros(2, np.int64),
         Ts,
@@ -78,13 +79,38 @@ def test_poses_by_the_names_of_images(images: ImageSet, tmp_path: Path) -> None:
         none,
         np.empty((0, 2)),
     )
-    write_reconstruction(model, tmp_path / "colmap-text" / "0", "colmap-text")
+    write_reconstruction(model, folder / "colmap-text" / "0", "colmap-text")
+
+
+def test_poses_by_the_names_of_images(images: ImageSet, tmp_path: Path) -> None:
+    write_model(images, tmp_path, images.cameras[0])
     found = read_poses(tmp_path, images)
     assert found.is_known.tolist() == [True, False, True, False]
     assert found.Ts_world_cam[0, 0, 3] == 3.0
     assert not found.is_vertical
     with pytest.raises(ConfigError, match="a model of COLMAP has those of the cameras"):
         read_poses(tmp_path, images, "imu")
+
+
+@pytest.mark.parametrize(
+    ("is_calibrated", "size", "focal_px"), [(False, (8, 6), 12.0), (True, (8, 6), 10.0), (False, (16, 12), 10.0)]
+)
+def test_cameras_without_calibration_begin_with_those_of_the_model(
+    images: ImageSet, tmp_path: Path, is_calibrated: bool, size: tuple[int, int], focal_px: float
+) -> None:
+    """A guessed focal length would contradict the poses; a calibration, or images of another size, keep theirs."""
+    write_model(images, tmp_path, CameraModel(*size, 12.0, 12.0, 3.5, 2.5))
+    given = replace(images, is_calibrated=np.array([is_calibrated]))
+    assert with_cameras_of(tmp_path, given).cameras[0].fx == focal_px
+
+
+def test_a_trajectory_has_no_cameras(images: ImageSet, trajectory: Path) -> None:
+    assert with_cameras_of(trajectory, images) is images
+
+
+def test_poses_that_do_not_exist(images: ImageSet, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="colmap: no such file or folder; expected a trajectory"):
+        read_poses(tmp_path / "colmap", replace(images, t_ns=None))
 
 
 def test_poses_that_belong_to_no_image(images: ImageSet, trajectory: Path) -> None:

@@ -185,7 +185,7 @@ def print_benchmark(rows: Sequence["Row"]) -> None:
     _print_consistency(rows)
     failed = failed_runs(rows)
     if failed:
-        print(f"{len(failed)} of {len(rows)} runs failed:")
+        print(f"{len(failed)} of {len(rows)} runs failed (--retry repeats them):")
     for run, status, reason in failed:
         print(f"  {run}: {reason or status}" if status == "failed" else f"  {run}: {status}, {reason}")
 

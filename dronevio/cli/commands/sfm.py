@@ -17,6 +17,7 @@ from dronevio.cli.settings.changes import SettingsInput, SettingsOptions
 from dronevio.cli.settings.option_tables import SFM, options_from
 from dronevio.cli.terminal import command_line, parse, print_json, print_values, print_warning, progress_bars
 from dronevio.estimator.sfm.config import SfmConfig
+from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.ranges import Range, Settings
 
 if TYPE_CHECKING:
@@ -110,19 +111,24 @@ class SfmCommand(Settings):
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     command = parse(SfmCommand, arguments, "sfm")
+    of_poses = ("poses_of", "pose_sigma_m", "pose_sigma_deg")
+    unused = [f"--{name.replace('_', '-')}" for name in of_poses if getattr(command, name)]
+    if unused and command.poses is None:
+        raise ConfigError(f"{' and '.join(unused)} without --poses; expected --poses, too")
 
     from dronevio.cli.output_files import atomic_folder, require_free
     from dronevio.estimator.sfm.earlier import earlier_cameras
     from dronevio.estimator.sfm.pipeline import reconstruct
     from dronevio.estimator.sfm.workspace import Workspace
-    from dronevio.models.errors import InputError
     from dronevio.models.reconstructions.formats import check_format
-    from dronevio.sfm_inputs import read_earlier, read_poses
+    from dronevio.sfm_inputs import read_earlier, read_poses, with_cameras_of
 
     target = command.out or Path("runs") / f"sfm-{command.images.resolve().stem}"
     require_free(target, command.output.overwrite)  # before the images are read
     earlier = None if command.add_to is None else read_earlier(command.add_to)
     images = _open(command, () if earlier is None else earlier.reconstruction.image_names)
+    if command.poses is not None:
+        images = with_cameras_of(command.poses, images)
     cameras = images.cameras if earlier is None else earlier_cameras(images, earlier.reconstruction)
     for kind in command.format:  # before the reconstruction, which may take hours
         check_format(kind, cameras, images.names)
