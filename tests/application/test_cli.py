@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -133,7 +134,7 @@ def test_an_error_after_ctrl_c_is_no_defect(
         finally:
             raise RuntimeError("connection severed")
 
-    monkeypatch.setattr(COMMANDS, "run", run)
+    monkeypatch.setattr("dronevio.cli.COMMANDS", SimpleNamespace(run=run))
     assert main(["scenarios"]) == status
     assert (capsys.readouterr().err == "dronevio: interrupted\n") is interrupts
 
