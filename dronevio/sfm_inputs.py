@@ -113,10 +113,11 @@ def with_cameras_of(path: Path, images: ImageSet) -> ImageSet:
     model, row = read_reconstruction(path), {name: i for i, name in enumerate(images.names)}
     cameras = list(images.cameras)
     for name, number in zip(model.image_names, model.image_camera.tolist(), strict=True):
-        k = int(images.image_camera[row[name]]) if name in row else -1
-        known, given = model.cameras[number], cameras[k]
-        has_size = (known.width, known.height) == (given.width, given.height)
-        if k >= 0 and has_size and not images.is_calibrated[k]:
+        if name not in row:
+            continue
+        k, known = int(images.image_camera[row[name]]), model.cameras[number]
+        has_size = (known.width, known.height) == (cameras[k].width, cameras[k].height)
+        if has_size and not images.is_calibrated[k]:
             cameras[k] = known
     return replace(images, cameras=tuple(cameras))
 

@@ -134,32 +134,6 @@ def is_stereo(window: Sequence[FramePacket], config: DynamicInitializationConfig
     return any(len(packet.observations.matches) >= config.min_landmarks for packet in window)
 
 
-def initialize_dynamic(
-    window: Sequence[FramePacket],
-    Ts_imu_cam: Array,
-    focal_px: float,
-    config: DynamicInitializationConfig,
-    gyro_bias: BiasPrior,
-    accel_bias: BiasPrior,
-    gravity_m_s2: float = GRAVITY_M_S2,
-) -> DynamicStart | NotObservable:
-    """Return the state at the first frame of a window, or the reason why it is not observable.
-
-    Args:
-        window: Consecutive frame packets.
-        Ts_imu_cam: (C, 4, 4) Poses of the rig's cameras in the IMU frame.
-        focal_px: Focal length [px].
-        config: Settings.
-        gyro_bias: What is known of the gyroscope bias [rad/s].
-        accel_bias: What is known of the accelerometer bias [m/s²].
-        gravity_m_s2: Magnitude of gravity [m/s²].
-    """
-    rotation = observed_rotation(window, Ts_imu_cam, focal_px, config, gyro_bias, gravity_m_s2)
-    if isinstance(rotation, NotObservable):
-        return rotation
-    return dynamic_start(rotation, focal_px, config, gyro_bias, accel_bias, gravity_m_s2)
-
-
 def observed_rotation(
     window: Sequence[FramePacket],
     Ts_imu_cam: Array,
@@ -168,7 +142,16 @@ def observed_rotation(
     gyro_bias: BiasPrior,
     gravity_m_s2: float = GRAVITY_M_S2,
 ) -> ObservedRotation | NotObservable:
-    """Return the first half of `initialize_dynamic`, which has the same arguments, or the reason against a start."""
+    """Return the gyroscope bias in a window by its images, or the reason why the motion is not observable.
+
+    Args:
+        window: Consecutive frame packets.
+        Ts_imu_cam: (C, 4, 4) Poses of the rig's cameras in the IMU frame.
+        focal_px: Focal length [px].
+        config: Settings.
+        gyro_bias: What is known of the gyroscope bias [rad/s].
+        gravity_m_s2: Magnitude of gravity [m/s²].
+    """
     c, stereo = config, is_stereo(window, config)
     measured = WindowMeasurements.of(window, Ts_imu_cam, c.max_frames, c.min_observations)
     increments = measured.imu.increments
@@ -198,7 +181,16 @@ def dynamic_start(
     accel_bias: BiasPrior,
     gravity_m_s2: float = GRAVITY_M_S2,
 ) -> DynamicStart | NotObservable:
-    """Return the second half of `initialize_dynamic`, which has the same arguments, after the first."""
+    """Return the state at the first frame of a window, or the reason why it is not observable.
+
+    Args:
+        rotation: The window with the gyroscope bias by its images.
+        focal_px: Focal length [px].
+        config: Settings.
+        gyro_bias: What is known of the gyroscope bias without them [rad/s].
+        accel_bias: What is known of the accelerometer bias [m/s²].
+        gravity_m_s2: Magnitude of gravity [m/s²].
+    """
     c, measured, epipolar = config, rotation.measured, rotation.epipolar
     noise = NoiseModel(c.pixel_sigma / focal_px, c.outlier_sigmas, accel_bias, gravity_m_s2)
     angular_velocity_rad_s = float(np.sqrt(np.var(measured.imu.increments.gyro_rad_s, axis=0).sum()))

@@ -583,6 +583,23 @@ def test_a_goal_that_cannot_be_approached_any_further_is_reached_from_nearby(
     assert 0.2 < np.linalg.norm(flight.truth.p_world_imu[-1] - goal) < 0.5
 
 
+def test_where_it_is_near_enough_the_vehicle_does_not_look_from_other_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario, goal = exploration_scenario("room", 0), np.array([2.0, -1.5, 1.2])
+    cameras, seen, step = RayCameras("room", 0, scenario.rig, 0), list[tuple[bool, bool]](), PathFollowing.step
+
+    def recorded(following: PathFollowing, m: Moment, *arguments: Any, peeks: bool) -> Any:
+        apart_m = np.linalg.norm(m.position_map_m - m.to_map(m.from_world(goal)))
+        seen.append((bool(apart_m >= 0.4), peeks))
+        return step(following, m, *arguments, peeks=peeks)
+
+    monkeypatch.setattr(PathFollowing, "step", recorded)
+    fly_closed_loop(
+        scenario, DriftingOdometry(cameras, 0), cameras, pilot=Explorer(ReachGoal(goal), 40.0, source=cameras)
+    )
+    assert {is_far for is_far, _ in seen} == {True, False}
+    assert all(is_far is peeks for is_far, peeks in seen)
+
+
 class Lost:
     """An odometry that is lost from a time on, and believes to be higher and higher; implements `Estimator`."""
 

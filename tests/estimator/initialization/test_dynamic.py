@@ -1,6 +1,6 @@
 """Dynamic initialization, on windows of synthetic flights with known truth."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -9,11 +9,17 @@ import pytest
 
 from dronevio.estimator.backend import smoother
 from dronevio.estimator.imu.buffer import ImuBuffer
-from dronevio.estimator.initialization.dynamic import DynamicInitializationConfig, DynamicStart, initialize_dynamic
+from dronevio.estimator.initialization.dynamic import (
+    DynamicInitializationConfig,
+    DynamicStart,
+    dynamic_start,
+    observed_rotation,
+)
 from dronevio.estimator.initialization.gauge import BiasPrior
 from dronevio.estimator.initialization.not_observable import NotObservable
 from dronevio.estimator.optimization.levenberg_marquardt import Minimum, levenberg_marquardt
 from dronevio.estimator.types import FramePacket
+from dronevio.models.arrays import Array
 from dronevio.models.state import NavState, Trajectory
 
 if TYPE_CHECKING:
@@ -49,6 +55,21 @@ def initialized(
     """Return the state of the dynamic initialization over the first seconds of a flight."""
     start = started(window_of(flight, seconds), flight, config, gyro_bias, accel_bias)
     return start.state if isinstance(start, DynamicStart) else start
+
+
+def initialize_dynamic(
+    window: Sequence[FramePacket],
+    Ts_imu_cam: Array,
+    focal_px: float,
+    config: DynamicInitializationConfig,
+    gyro_bias: BiasPrior,
+    accel_bias: BiasPrior,
+) -> DynamicStart | NotObservable:
+    """Return the result of both halves of a dynamic initialization."""
+    rotation = observed_rotation(window, Ts_imu_cam, focal_px, config, gyro_bias)
+    if isinstance(rotation, NotObservable):
+        return rotation
+    return dynamic_start(rotation, focal_px, config, gyro_bias, accel_bias)
 
 
 def started(

@@ -20,7 +20,6 @@ from dronevio.estimator.initialization.closed_form import (
 from dronevio.estimator.initialization.dynamic import (
     DynamicInitializationConfig,
     DynamicStart,
-    initialize_dynamic,
     probable_cause,
 )
 from dronevio.estimator.initialization.gauge import BiasPrior
@@ -34,7 +33,7 @@ from dronevio.estimator.types import FramePacket
 from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rotation import exp_so3, log_so3, pose_matrix
-from tests.estimator.initialization.test_dynamic import errors, window_of
+from tests.estimator.initialization.test_dynamic import errors, initialize_dynamic, window_of
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
