@@ -242,6 +242,7 @@ class VisualInertialOdometry:
             smoother, events = correction.smoother, (*events, *correction.events)
             monitor.correct(published, smoother.state)
             parts.set_gravity()
+        parts.noise.add_biases(smoother.state, are_corrected=correction is not None)
         # The interval to the next keyframe
         propagator = parts.propagator(smoother, monitor, packet.observations)
         return replace(tracking, smoother=smoother, propagator=propagator), events

@@ -20,10 +20,12 @@ import numpy as np
 
 from dronevio.estimator.imu.buffer import Increments, joined
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
+from dronevio.estimator.imu.random_walk import RandomWalkEstimator
 from dronevio.estimator.imu.spectral_floor import SpectralFloor
 from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples
 from dronevio.models.ranges import Range, Settings
+from dronevio.models.state import NavState
 
 NOISY_RATIO = 1.3
 """Ratio of the noise at rest to the data sheet beyond which the random walks are larger, too. The noise of 0.8 s at 20
@@ -68,6 +70,8 @@ class NoiseEstimationConfig(Settings):
     """Smallest ratio of a noise density to its data sheet value."""
     max_factor: Annotated[float, Range(1.0, 1e4)] = 30.0
     """Largest ratio of a noise density to its data sheet value."""
+    max_walk_factor: Annotated[float, Range(1.0, 1e4)] = 10.0
+    """Largest ratio of a bias's estimated random walk to that of the data sheet, inflated; 1 keeps the latter."""
 
 
 @dataclass(frozen=True)
@@ -229,6 +233,10 @@ class ImuNoiseEstimator:
         self._gyro = NoiseDensityEstimator(imu.gyro_noise_density, gyro, config)
         self._accel = NoiseDensityEstimator(imu.accel_noise_density, accel, config)
         self._initial = self._params = of_data_sheet.with_noise(gyro, accel)
+        self._walks = tuple(
+            RandomWalkEstimator(math.sqrt(variance), config.max_walk_factor)
+            for variance in (of_data_sheet.gyro_walk_variance, of_data_sheet.accel_walk_variance)
+        )
         self._data_sheet = imu.gyro_noise_density, imu.accel_noise_density
         self._at_rest, self._floor = (0.0, 0.0), SpectralFloor()
         self._highest_floor, self._interval_s = np.zeros(2), 1.0 / imu.rate_hz
@@ -322,8 +330,10 @@ class ImuNoiseEstimator:
         gyro_ratio, accel_ratio = (
             density / given if white and density > NOISY_RATIO * given > 0.0 else 1.0 for density, given in densities
         )
-        noise = self._params.with_noise(*self.densities)
-        self._params = noise.with_walks_of(self._initial, gyro_ratio, accel_ratio)
+        gyro_walk, accel_walk = self._walks
+        gyro_walk.set_smallest(gyro_ratio * math.sqrt(self._initial.gyro_walk_variance))
+        accel_walk.set_smallest(accel_ratio * math.sqrt(self._initial.accel_walk_variance))
+        self._params = self._params.with_noise(*self.densities).with_walks(*(each.density for each in self._walks))
 
     def begin_in_motion(self) -> None:
         """Raise the noise to what the spectrum suggests, because the first state depends on it.
@@ -354,6 +364,24 @@ class ImuNoiseEstimator:
             sensor.raise_to(min(pooled_density(parts), limit))
         self._params = self._params.with_noise(*self.densities)
         return any(now > NOISY_RATIO * then for now, then in zip(self.densities, before, strict=True))
+
+    def add_biases(self, state: NavState, *, are_corrected: bool) -> None:
+        """Add the biases of a keyframe, and update the random walks of the preintegration parameters.
+
+        Args:
+            state: The state of the keyframe, with its covariance.
+            are_corrected: Whether another calibration has changed them.
+        """
+        if state.covariance is None:
+            return
+        variances = np.diag(state.covariance)
+        gyro_walk, accel_walk = self._walks
+        if are_corrected:
+            gyro_walk.forget_bias()
+            accel_walk.forget_bias()
+        gyro_walk.add(state.t_ns, state.gyro_bias_rad_s, variances[9:12])
+        accel_walk.add(state.t_ns, state.accel_bias_m_s2, variances[12:15])
+        self._params = self._params.with_walks(gyro_walk.density, accel_walk.density)
 
     def update(self, components: ImuVarianceComponents | None) -> None:
         """Add an interval, if there is one, and update the preintegration parameters."""

@@ -76,13 +76,9 @@ class PreintegrationParams:
         """Return the parameters with other densities of white noise [rad/s/√Hz] and [m/s²/√Hz]."""
         return replace(self, gyro_variance=gyro_density**2, accel_variance=accel_density**2)
 
-    def with_walks_of(self, other: Self, gyro_ratio: float, accel_ratio: float) -> Self:
-        """Return the parameters with the random walks of others, multiplied by ratios."""
-        return replace(
-            self,
-            gyro_walk_variance=gyro_ratio**2 * other.gyro_walk_variance,
-            accel_walk_variance=accel_ratio**2 * other.accel_walk_variance,
-        )
+    def with_walks(self, gyro_density: float, accel_density: float) -> Self:
+        """Return the parameters with other random walks of the biases [rad/s²/√Hz] and [m/s³/√Hz]."""
+        return replace(self, gyro_walk_variance=gyro_density**2, accel_walk_variance=accel_density**2)
 
     def to_gtsam(self) -> gtsam.PreintegrationCombinedParams:
         """Return a new parameter object for GTSAM, in a world whose z axis points up."""
