@@ -1,17 +1,16 @@
 """Online estimation of the random walk of a sensor's bias.
 
 Biases follow the temperature, errors of scale and alignment act like a bias that varies with the motion, and a data
-sheet states neither. Where the random walk is the assumed one, the estimate of a bias changes between two times by as
-much as it gains certainty, plus what the bias walks meanwhile:
+sheet states neither. If the random walk has the assumed density w, the estimate of a bias changes between two times by
+as much as it gains certainty, plus what the bias walks meanwhile:
 
     E[(b₁ - b₀)²] = P₀ - P₁ + w² (t₁ - t₀)
 
 (the innovations are white: Mehra, "On the identification of variances and adaptive Kalman filtering", IEEE TAC 1970).
-The squared changes of the last intervals give the density w by variance components, as the white noise follows from
-the residuals of the IMU (`noise`). A trend, as of an IMU that warms up, counts as the walk that explains it.
+The density is the most probable one, given the changes in the last intervals. A trend, as of an IMU that warms up,
+counts as the walk that explains it.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,11 +20,11 @@ from dronevio.models.arrays import Array
 INTERVAL_S = 3.0
 """Smallest length of an interval [s]. Longer ones show a trend more clearly, but later."""
 MEMORY = 10.0
-"""Number of intervals that are averaged, with exponential forgetting."""
-PRIOR_WEIGHT = 1.0
-"""Weight of the initial density, as a number of intervals that determine the walk completely."""
-MAX_NORMALIZED_SQUARE = 9.0
-"""Largest ratio of a squared change to its expectation, so that a wrong bias is not taken for a walk at once."""
+"""Number of intervals that count, with exponential forgetting."""
+LEVELS = 41
+"""Number of densities that are compared."""
+MAX_NORMALIZED_SQUARE = 25.0
+"""Ratio of a squared change to its expectation from which on a change tells nothing, as a jump of the bias."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,24 +39,24 @@ class _Known:
 class RandomWalkEstimator:
     """Estimates the density of the random walk of one sensor's bias."""
 
-    def __init__(self, initial: float, max_factor: float) -> None:
+    def __init__(self, smallest: float, max_factor: float) -> None:
         """Create an estimator.
 
         Args:
-            initial: Initial density, which is the smallest.
+            smallest: Smallest density, with which it begins.
             max_factor: Largest ratio of the estimate to it.
         """
-        self._smallest, self._max_factor = initial, max_factor
-        # Sums over intervals with exponential forgetting: weighted squares of the density, weights
-        self._squares = self._weight = 0.0
+        self._smallest = smallest
+        # Densities relative to the smallest, their prior, as if an interval had shown the smallest, and likelihood
+        self._factors = np.geomspace(1.0, max_factor, LEVELS)
+        self._log_prior = -1.5 * (np.log(self._factors**2) + self._factors**-2.0)
+        self._log_likelihood = np.zeros(LEVELS)
         self._known: _Known | None = None  # None before the first bias
 
     @property
     def density(self) -> float:
-        """Estimated density in the unit of the initial one."""
-        prior = PRIOR_WEIGHT * self._smallest**2
-        estimated = math.sqrt(max(prior + self._squares, 0.0) / (PRIOR_WEIGHT + self._weight))
-        return min(max(estimated, self._smallest), self._max_factor * self._smallest)
+        """Most probable density, in the unit of the smallest."""
+        return self._smallest * float(self._factors[np.argmax(self._log_prior + self._log_likelihood)])
 
     def set_smallest(self, density: float) -> None:
         """Set the smallest density."""
@@ -76,15 +75,11 @@ class RandomWalkEstimator:
         if (duration_s := (t_ns - known.t_ns) * 1e-9) < INTERVAL_S:
             return
         # Of the walk, what is not yet observed does not appear in the change
-        walked = self.density**2 * duration_s
-        gained = known.variance - variance
-        seen = np.clip((gained + walked) / walked, 1e-3, 1.0)
-        gained = np.maximum(gained, 0.0)
-        expected = gained + seen * walked
-        square = np.minimum((bias - known.bias) ** 2, MAX_NORMALIZED_SQUARE * expected)
-        # Weights by the share of the walk in the change
-        weight = seen * (seen * walked / expected) ** 2 / len(bias)
-        kept = 1.0 - 1.0 / MEMORY
-        self._squares = kept * self._squares + float(weight @ ((square - gained) / (seen * duration_s)))
-        self._weight = kept * self._weight + float(weight.sum())
+        gained, assumed = known.variance - variance, self.density**2 * duration_s
+        seen = np.clip((gained + assumed) / assumed, 1e-3, 1.0)
+        walked = (self._smallest * self._factors[:, None]) ** 2 * duration_s
+        expected = np.maximum(gained, 0.0) + seen * walked
+        normalized_square = np.minimum((bias - known.bias) ** 2 / expected, MAX_NORMALIZED_SQUARE)
+        shown = -0.5 * (np.log(expected) + normalized_square) @ seen
+        self._log_likelihood = (1.0 - 1.0 / MEMORY) * self._log_likelihood + shown
         self._known = now

@@ -57,8 +57,8 @@ def walking(factor: float) -> Callable[[Array, np.random.Generator], Array]:
 
 
 def warming(t_s: Array, _: np.random.Generator) -> Array:
-    """Return a bias that follows the temperature, 100 initial densities in one second at first."""
-    return np.outer(100.0 * DENSITY * 30.0 * (1.0 - np.exp(-t_s / 30.0)), [1.0, -1.0, 1.0])
+    """Return a bias that follows the temperature, ten initial densities in one second at first."""
+    return np.outer(10.0 * DENSITY * 30.0 * (1.0 - np.exp(-t_s / 30.0)), [1.0, -1.0, 1.0])
 
 
 @pytest.mark.parametrize("factor", [2.0, 5.0, 20.0])
@@ -81,17 +81,17 @@ def test_a_warming_sensor_has_consistent_biases() -> None:
     assert late.mean() < 2.0 * AXES < 0.1 * without[len(without) // 4 :].mean()
 
 
-def test_density_of_one_interval_worked_out_by_hand() -> None:
-    """The certainty gained explains 3 of 12 expected squares; the change shows 21 - 3 = 18, twice the walk assumed.
+@pytest.mark.parametrize(("gained", "square"), [(0.0, 7.0), (4.0, 20.0)])
+def test_density_of_one_interval_worked_out_by_hand(gained: float, square: float) -> None:
+    """In units of the initial walk during the interval, x = 4 solves 1/x² - 1/x + s/(d + x)² - 1/(d + x) = 0.
 
-    Weight of the interval (9 / 12)², squares 2 w² times that; the prior has weight 1.
+    s is the squared change, d the certainty gained; the first two terms are those of the prior.
     """
-    w2 = 3.0
-    estimator = RandomWalkEstimator(np.sqrt(w2), max_factor=100.0)
-    estimator.add(0, np.zeros(3), np.full(3, 5.0))
-    estimator.add(3_000_000_000, np.full(3, np.sqrt(21.0)), np.full(3, 2.0))
-    weight = (9.0 / 12.0) ** 2
-    assert estimator.density**2 == pytest.approx(w2 * (1.0 + 2.0 * weight) / (1.0 + weight))
+    unit = DENSITY**2 * 3.0
+    estimator = RandomWalkEstimator(DENSITY, max_factor=16.0)
+    estimator.add(0, np.zeros(3), np.full(3, (1.0 + gained) * unit))
+    estimator.add(3_000_000_000, np.full(3, np.sqrt(square * unit)), np.full(3, unit))
+    assert estimator.density == pytest.approx(2.0 * DENSITY)
 
 
 def test_an_unobserved_bias_shows_nothing() -> None:
@@ -103,17 +103,18 @@ def test_an_unobserved_bias_shows_nothing() -> None:
     assert estimator.density == pytest.approx(DENSITY)
 
 
-def test_a_jump_raises_the_walk_by_a_bounded_factor_and_not_if_its_cause_is_known() -> None:
-    def density(*, is_forgotten: bool) -> float:
-        estimator = RandomWalkEstimator(DENSITY, max_factor=100.0)
-        for i in range(6):
-            if is_forgotten and i == 5:
-                estimator.forget_bias()
-            estimator.add(i * 3_000_000_000, np.full(3, 1.0 if i == 5 else 0.0), np.full(3, DENSITY**2))
-        return estimator.density
-
-    assert DENSITY < density(is_forgotten=False) < 3.0 * DENSITY
-    assert density(is_forgotten=True) == DENSITY
+@pytest.mark.parametrize(
+    ("jump", "is_forgotten", "raises"), [(5.0, False, True), (5.0, True, False), (1e4, False, False)]
+)
+def test_jumps_that_a_walk_explains_raise_the_density(jump: float, is_forgotten: bool, raises: bool) -> None:
+    """Others, and those whose cause is known, do not."""
+    estimator = RandomWalkEstimator(DENSITY, max_factor=100.0)
+    for i in range(3):
+        if is_forgotten and i == 2:
+            estimator.forget_bias()
+        bias = jump * DENSITY * np.sqrt(3.0) if i == 2 else 0.0
+        estimator.add(i * 3_000_000_000, np.full(3, bias), np.full(3, DENSITY**2))
+    assert (estimator.density > DENSITY) == raises
 
 
 def test_limits() -> None:
@@ -121,7 +122,7 @@ def test_limits() -> None:
     for initial, factor in ((DENSITY, 1.0), (0.0, 10.0)):
         estimator = RandomWalkEstimator(initial, max_factor=factor)
         for i in range(50):
-            estimator.add(i * 3_000_000_000, np.full(3, float(i)), np.full(3, DENSITY**2))
+            estimator.add(i * 3_000_000_000, np.full(3, 5.0 * DENSITY * i), np.full(3, DENSITY**2))
         assert estimator.density == initial
         estimator.set_smallest(2.0 * initial)
         assert estimator.density == 2.0 * initial
@@ -129,7 +130,7 @@ def test_limits() -> None:
 
 @pytest.mark.slow
 def test_odometry_of_a_warming_gyroscope_has_consistent_biases(make_flight: Callable[..., "SyntheticFlight"]) -> None:
-    """Its bias follows 5 mrad/s with a time constant of 30 s; without the learned walk, it is far beyond 3 σ."""
+    """Its bias follows 5 mrad/s with a time constant of 30 s; without the learned walk, the bias is far beyond 3 σ."""
     flight = make_flight(3, rest_s=2.0, duration_s=25.0)
     elapsed_s = 1e-9 * (flight.imu.t_ns - flight.imu.t_ns[0])
     drift = np.outer(0.005 * (1.0 - np.exp(-elapsed_s / 30.0)), [1.0, 1.0, -1.0])
@@ -138,10 +139,10 @@ def test_odometry_of_a_warming_gyroscope_has_consistent_biases(make_flight: Call
 
     def sigmas(config: VioConfig) -> Array:
         states = [e.state for e in flight.run(config=config) if e.state is not None and e.state.covariance is not None]
-        late = states[len(states) // 2 :]
+        late = states[3 * len(states) // 4 :]
         true = np.array([true_bias[np.searchsorted(flight.imu.t_ns, state.t_ns)] for state in late])
         variances = np.array([np.diag(state.covariance)[9:12] for state in late if state.covariance is not None])
         return np.abs(np.array([state.gyro_bias_rad_s for state in late]) - true) / np.sqrt(variances)
 
     kept = VioConfig(noise=NoiseEstimationConfig(max_walk_factor=1.0))
-    assert np.median(sigmas(VioConfig())) < 2.0 < 0.6 * np.median(sigmas(kept))
+    assert np.median(sigmas(VioConfig())) < 3.0 < 0.3 * np.median(sigmas(kept))
