@@ -57,13 +57,14 @@ class IncompleteError(DronevioError):
     """A long operation stopped early, for example because the disk is full; the finished part can be read."""
 
 
-def unknown_name(what: str, name: str, known: Iterable[str]) -> ConfigError:
+def unknown_name(what: str, name: str, known: Iterable[str], expected: str | None = None) -> ConfigError:
     """Return the error for a name that is none of the known ones, with those that are like it.
 
     Args:
         what: What has the name, such as ``world``.
         name: The name.
         known: The names that exist.
+        expected: What is expected, where the names are too many for a message; by default one of them all.
     """
     from difflib import get_close_matches
 
@@ -71,4 +72,4 @@ def unknown_name(what: str, name: str, known: Iterable[str]) -> ConfigError:
     lower = {each.lower(): each for each in reversed(names)}
     like = [lower[each] for each in get_close_matches(str(name).lower(), list(lower), 3, 0.6)]
     hint = f"; did you mean {' or '.join(like)}?" if like else ""
-    return ConfigError(f"unknown {what} {name!r}; expected one of {', '.join(names)}{hint}")
+    return ConfigError(f"unknown {what} {name!r}; expected {expected or 'one of ' + ', '.join(names)}{hint}")

@@ -63,6 +63,8 @@ def open_images(
         raise InputError(path, "no such file or folder", _expected())
     if not path.is_dir():
         raise InputError(path, "a file that is neither a video nor a recording", _expected())
+    if (path / "report.json").is_file() and (path / "report.html").is_file():
+        raise InputError(path, "a result, whose pictures are those of its report", "the folder of its images")
     _check_options(path, "a folder of images", options, ("camera", "model", "lens"))
     return image_folder(path, camera=camera or "shared", model=model, masks=masks, lens=lens or "radtan")
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ from dronevio.estimator.types import NO_FEATURES, CalibrationSigmas, FramePacket
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements
 from dronevio.models.rig import euroc_rig
-from dronevio.models.state import NO_IMAGE, CameraFrame
+from dronevio.models.state import NO_IMAGE, CameraFrame, NavState
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
@@ -99,28 +99,46 @@ def test_another_time_offset_withdraws_the_causes(vio: VisualInertialOdometry) -
     assert state.estimate.events[-1].startswith("time offset")
 
 
+class CorrectsGravity:
+    """A calibrator that corrects gravity with each keyframe; all else is that of another one."""
+
+    def __init__(self, calibrator: Any) -> None:
+        self._calibrator, self.gravity_m_s2 = calibrator, 9.7
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._calibrator, name)
+
+    def add_keyframe(self, smoother: KeyframeSmoother, *_: Any, **__: Any) -> Correction:
+        return Correction(smoother, True, False, ())
+
+
 def test_a_correction_of_gravity_is_used_at_once(make_flight: Callable[..., "SyntheticFlight"]) -> None:
     """By the preintegration and between frames."""
-    flight, gravity_m_s2 = make_flight(0, rest_s=1.0, duration_s=4.0), 9.7
+    flight = make_flight(0, rest_s=1.0, duration_s=4.0)
     vio, feed = VisualInertialOdometry(flight.rig, front_end=flight.front_end()), iter(measurements(flight))
     push(vio, feed, frames=50)
-
-    class Corrected:
-        """A calibrator that corrects gravity with each keyframe; all else is that of another one."""
-
-        def __init__(self, calibrator: Any) -> None:
-            self._calibrator, self.gravity_m_s2 = calibrator, gravity_m_s2
-
-        def __getattr__(self, name: str) -> Any:
-            return getattr(self._calibrator, name)
-
-        def add_keyframe(self, smoother: KeyframeSmoother, *_: Any, **__: Any) -> Correction:
-            return Correction(smoother, True, False, ())
-
-    calibrator: Any = Corrected(vio._parts.calibrator)
+    calibrator: Any = CorrectsGravity(vio._parts.calibrator)
     vio._parts = replace(vio._parts, calibrator=calibrator)
     push(vio, feed, frames=20)
-    assert vio.imu_noise.gravity_m_s2 == vio._parts.imu_rate._params.gravity_m_s2 == gravity_m_s2
+    assert vio.imu_noise.gravity_m_s2 == vio._parts.imu_rate._params.gravity_m_s2 == calibrator.gravity_m_s2
+
+
+def test_changes_of_biases_by_a_correction_are_no_random_walk(
+    make_flight: Callable[..., "SyntheticFlight"], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flight, are_corrected = make_flight(0, rest_s=1.0, duration_s=4.0), list[bool]()
+    vio, feed = VisualInertialOdometry(flight.rig, front_end=flight.front_end()), iter(measurements(flight))
+
+    def add_biases(_: ImuNoiseEstimator, state: NavState, **known: bool) -> None:
+        are_corrected.append(known["are_corrected"])
+
+    monkeypatch.setattr(ImuNoiseEstimator, "add_biases", add_biases)
+    push(vio, feed, frames=50)
+    keyframes, calibrator = len(are_corrected), cast(Any, CorrectsGravity(vio._parts.calibrator))
+    vio._parts = replace(vio._parts, calibrator=calibrator)
+    push(vio, feed, frames=20)
+    assert not any(are_corrected[:keyframes]) and all(are_corrected[keyframes:])
+    assert 0 < keyframes < len(are_corrected)
 
 
 def test_frames_are_compared_with_what_is_known_of_the_calibration(vio: VisualInertialOdometry) -> None:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 Format = Literal[
     "euroc", "mcap", "bag", "bag-sqlite", "tum", "kalibr", "openvins", "vins", "orbslam3", "basalt", "kimera"
 ]
+_RECORDINGS: tuple[Format, ...] = ("euroc", "mcap", "bag", "bag-sqlite")
 _BY_SUFFIX: dict[str, Format] = {".mcap": "mcap", ".tum": "tum"}
 
 
@@ -82,29 +83,26 @@ def main(arguments: Sequence[str]) -> int:
         raise InputError(command.source, "no IMU", "a recording with an IMU, or its truth alone (--to tum)")
     with progress_bars(quiet=command.output.json) as bars, writing(command.dest):
         _convert(recording, target, command, bars)
-    truth = recording.ground_truth
-    size = size_mb(command.dest)
+    truth, size, is_recording = recording.ground_truth, size_mb(command.dest), target in _RECORDINGS
     summary = {
         "source": str(command.source),
         "dest": str(command.dest),
         "to": target,
         "complete": recording.complete,
-        "cameras": len(recording.rig.cameras),
-        "frames": len(recording.frame_times_ns),
-        "imu_samples": len(recording.imu),
-        "poses": len(truth) if truth is not None else 0,
+        "cameras": 0 if target == "tum" else len(recording.rig.cameras),
+        "frames": len(recording.frame_times_ns) if is_recording else 0,
+        "imu_samples": len(recording.imu) if is_recording else 0,
+        "poses": len(truth) if truth is not None and (is_recording or target == "tum") else 0,
         "size_mb": size,
     }
     if command.output.json:
         print_json(summary)
         return 0
+    counts = {"cameras": "cameras", "frames": "frames", "IMU samples": "imu_samples", "true poses": "poses"}
     print_values(
         f"{recording.name} as {target}",
         (
-            ("cameras", f"{summary['cameras']}", ""),
-            ("frames", f"{summary['frames']}", ""),
-            ("IMU samples", f"{summary['imu_samples']}", ""),
-            ("true poses", f"{summary['poses']}", ""),
+            *((label, f"{summary[key]}", "") for label, key in counts.items() if summary[key]),
             ("size", f"{size:.1f}" if size >= 0.1 else f"{size * 1e3:.1f}", "MB" if size >= 0.1 else "kB"),
         ),
     )
@@ -134,7 +132,7 @@ def _convert(recording: "StoredRecording", target: Format, command: ConvertComma
         if recording.ground_truth is None:
             raise InputError(command.source, "no ground truth", "a recording with ground truth")
         write_tum(command.dest, recording.ground_truth)
-    elif target in ("mcap", "bag", "bag-sqlite"):
+    elif target in _RECORDINGS:
         from dronevio.models.recordings.bag.writer import write_bag
 
         storage: Literal["mcap", "sqlite3"] = "sqlite3" if target == "bag-sqlite" else "mcap"

@@ -21,6 +21,7 @@ from dronevio.estimator.imu.preintegration import PreintegrationConfig
 from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.models.arrays import Array
 from dronevio.models.imu import EUROC_IMU, ImuSamples
+from dronevio.models.state import NavState
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import KeyframeFeed, SyntheticFlight
@@ -223,6 +224,20 @@ def test_random_walks_follow_the_noise_at_rest(factor: float, walk_factor: float
         found = np.array([noise.params.gyro_walk_variance, noise.params.accel_walk_variance])
         given = np.array([initial.gyro_walk_variance, initial.accel_walk_variance])
         np.testing.assert_allclose(np.sqrt(found / given), expected, rtol=0.05 if expected > 1.0 else 1e-12)
+
+
+@pytest.mark.parametrize("are_corrected", [False, True])
+def test_random_walks_follow_the_biases(are_corrected: bool) -> None:
+    """Each that of its sensor, unless another calibration has changed the bias."""
+    noise = ImuNoiseEstimator(EUROC_IMU, PreintegrationConfig(), NoiseEstimationConfig())
+    before = noise.params
+    for i in range(10):
+        bias = np.full(3, 5.0 * np.sqrt(3.0 * before.accel_walk_variance) * i)
+        state = NavState(i * 3_000_000_000, np.eye(4), np.zeros(3), np.zeros(3), bias, 1e-12 * np.eye(15))
+        noise.add_biases(state, are_corrected=are_corrected)
+    assert noise.params.gyro_walk_variance == pytest.approx(before.gyro_walk_variance)
+    ratio = noise.params.accel_walk_variance / before.accel_walk_variance
+    assert ratio == pytest.approx(1.0) if are_corrected else ratio > 10.0
 
 
 @pytest.mark.parametrize(("factor", "expected"), [(1.0, 5.0), (16.0, 8.0), (100.0, 50.0)])

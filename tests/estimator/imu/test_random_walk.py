@@ -142,7 +142,7 @@ def test_odometry_of_a_warming_gyroscope_has_consistent_biases(make_flight: Call
         late = states[3 * len(states) // 4 :]
         true = np.array([true_bias[np.searchsorted(flight.imu.t_ns, state.t_ns)] for state in late])
         variances = np.array([np.diag(state.covariance)[9:12] for state in late if state.covariance is not None])
-        return np.abs(np.array([state.gyro_bias_rad_s for state in late]) - true) / np.sqrt(variances)
+        return np.asarray(np.abs(np.array([state.gyro_bias_rad_s for state in late]) - true) / np.sqrt(variances))
 
     kept = VioConfig(noise=NoiseEstimationConfig(max_walk_factor=1.0))
     assert np.median(sigmas(VioConfig())) < 3.0 < 0.3 * np.median(sigmas(kept))

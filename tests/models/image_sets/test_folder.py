@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
-from dronevio.models import CameraModel, ConfigError, InputError, image_folder
+from dronevio.models import CameraModel, ConfigError, InputError, image_folder, open_images
 from dronevio.models.arrays import Image
 from dronevio.models.image_sets import joined, photos
 from dronevio.models.image_sets.folder import natural_key
@@ -131,6 +131,16 @@ def test_files_that_are_no_images_are_refused(tmp_path: Path, content: bytes) ->
     (tmp_path / "a.png").write_bytes(content)
     with pytest.raises(InputError, match=r"a\.png: .*expected an image"):
         image_folder(tmp_path)
+
+
+def test_a_result_is_no_folder_of_images(tmp_path: Path) -> None:
+    """The pictures of its report are not the photographs."""
+    save(tmp_path / "a.png", noise(3, 24, 32))
+    assert len(open_images(tmp_path)) == 1
+    for name in ("report.json", "report.html"):
+        (tmp_path / name).touch()
+    with pytest.raises(InputError, match="a result, whose pictures"):
+        open_images(tmp_path)
 
 
 def test_other_formats_are_refused(tmp_path: Path) -> None:
