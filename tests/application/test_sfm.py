@@ -122,7 +122,8 @@ def test_photographs_with_gps_are_placed_on_earth(
     folder, (origin, positions) = tagged
     out = tmp_path / "villa"
     assert main(["sfm", str(folder), "--out", str(out)]) == 0
-    printed = capsys.readouterr().out
+    printed, progress = capsys.readouterr()
+    assert "writing: " in progress.splitlines()[-1]  # the last phase ends with the work
     assert "metric (GPS)" in printed and "north, standard deviation" in printed and "(ellipsoid)" in printed
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     assert report["unit"] == "m" and report["up"] == [0.0, 0.0, 1.0]

@@ -19,6 +19,7 @@ from dronevio.models.ranges import Range, Settings
 if TYPE_CHECKING:
     from dronevio.estimator.dense.pipeline import DenseResult
     from dronevio.models.image_sets import ImageSet
+    from dronevio.models.progress import Progress
     from dronevio.models.reconstruction import Reconstruction
 
 Format = Literal["ply", "glb", "obj", "las", "laz", "geotiff"]
@@ -118,7 +119,8 @@ def main(arguments: Sequence[str]) -> int:
             "textured surfaces in three or more images from different positions",
         )
     with atomic_folder(target, command.output.overwrite, mark="report.json") as folder:
-        _write(folder, target, command, arguments, images, reconstruction, result)
+        with progress_bars(quiet=command.output.json) as bars:
+            _write(folder, target, command, arguments, images, reconstruction, result, bars.bar("writing"))
         if command.keep_depths:
             shutil.copytree(work, folder / DEPTHS)
     shutil.rmtree(work, ignore_errors=True)
@@ -169,6 +171,7 @@ def _write(
     images: "ImageSet",
     reconstruction: "Reconstruction",
     result: "DenseResult",
+    progress: "Progress",
 ) -> None:
     """Write the surfaces, their report and their rerun file."""
     from dronevio import __version__
@@ -181,7 +184,9 @@ def _write(
     from dronevio.sfm_inputs import read_world
 
     origin = read_world(command.scene / "report.json").origin if command.component == 0 else None
-    for kind in command.format:
+    total = len(command.format) + 2
+    for done, kind in enumerate(command.format):
+        progress(done, total)
         write_surface_files(folder, kind, result, origin)
     info = RunInfo(
         title=f"Surfaces: {command.scene.name}",
@@ -199,9 +204,12 @@ def _write(
         point_size=result.spacing,
         times_s=result.times_s,
     )
+    progress(total - 2, total)
     write_dense_report(folder, info, results)
+    progress(total - 1, total)
     rerun = folder / "run.rrd"
     write_dense_rerun(reconstruction, result.cloud, result.mesh, rerun, point_size=result.spacing, name=target.name)
+    progress(total, total)
 
 
 def _summary(target: Path, result: "DenseResult") -> dict[str, Any]:

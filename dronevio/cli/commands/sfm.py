@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from dronevio.models.camera import CameraModel
     from dronevio.models.geodesy import GeodeticPoint
     from dronevio.models.image_sets import ImageSet
+    from dronevio.models.progress import Progress
     from dronevio.models.reconstruction import SelfCalibration
 
 Format = Literal["colmap-binary", "colmap-text", "bundler", "ply", "nerfstudio", "openmvs"]
@@ -157,7 +158,8 @@ def main(arguments: Sequence[str]) -> int:
                 "one image" if count == 1 else f"{count} images, no two of which determine the motion of a camera",
                 "images of one scene that overlap, from different positions",
             )
-        _write(folder, target, command, arguments, images, result, left_out)
+        with progress_bars(quiet=command.output.json) as bars:
+            _write(folder, target, command, arguments, images, result, left_out, bars.bar("writing"))
     shutil.rmtree(work, ignore_errors=True)
     if command.output.json:
         print_json(_summary(target, images, result) | {"left_out": left_out})
@@ -216,6 +218,7 @@ def _write(
     images: "ImageSet",
     result: "SfmResult",
     left_out: dict[str, str],
+    progress: "Progress",
 ) -> None:
     """Write the reconstruction, its report and its rerun file."""
     from dronevio import __version__
@@ -227,7 +230,9 @@ def _write(
     from dronevio.models.serialization import to_jsonable
 
     sources = [path for path in (command.images, command.earlier_images) if path is not None and path.is_dir()]
-    for kind in command.format:
+    total = len(command.format) + 2
+    for done, kind in enumerate(command.format):
+        progress(done, total)
         for number, (each, world) in enumerate(zip(result.reconstructions, result.worlds, strict=True)):
             has_mounting = world.scale == "rig"
             write_component(folder, kind, number, each, images, sources=sources, has_mounting=has_mounting)
@@ -261,8 +266,11 @@ def _write(
         placed = [r for r, world in zip(result.reconstructions, result.worlds, strict=True) if world.origin is not None]
         write_cameras_geojson(folder / "cameras.geojson", placed, results.origin)
         write_cameras_kml(folder / "cameras.kml", placed, results.origin, target.name)
+    progress(total - 2, total)
     write_reconstruction_report(folder, info, results)
+    progress(total - 1, total)
     write_reconstruction_rerun(result.reconstructions, folder / "run.rrd", read, up=results.up, name=target.name)
+    progress(total, total)
 
 
 def _up(result: "SfmResult") -> Any:
