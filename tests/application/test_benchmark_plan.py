@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from dronevio.benchmark import jobs
@@ -17,6 +18,9 @@ from dronevio.estimators.registry import ESTIMATORS, estimator_named
 from dronevio.models.errors import ConfigError, EvaluationError, InputError
 from dronevio.models.extras import install_command
 from dronevio.models.rig_presets import rig_named
+from dronevio.recording.excerpts import MAX_DISCONTINUITY_M
+from dronevio.sim.flight import reference_of
+from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.scenarios import scenario_named
 
 Result = Any  # the class of conftest, which cannot be imported
@@ -185,3 +189,13 @@ def test_sources_are_read_once_for_all_flights(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(jobs, "code_hash", lambda *paths: reads.extend(paths))
     assert len({flight.recording_hash for flight in scenario_flights(["room"], range(100))}) == 300
     assert reads == []
+
+
+@pytest.mark.parametrize("name", ["room-aggressive", "hover"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_flights_of_the_documentation_can_be_repeated(name: str, seed: int) -> None:
+    """They are planned to end at their first pose."""
+    flight = scenario_named(name, seed)
+    planned = reference_of(flight, QuadrotorPlant(flight.rig, flight.quadrotor))
+    assert np.linalg.norm(planned.position_m[-1] - planned.position_m[0]) < 0.5 * MAX_DISCONTINUITY_M
+    assert abs(np.sin(0.5 * (planned.yaw_rad[-1] - planned.yaw_rad[0]))) < 1e-6

@@ -85,7 +85,7 @@ class BenchmarkCommand(Settings):
     in motion. Each time is a row of its own, named FLIGHT@TIMEs. By default estimators start with the first frame."""
     laps: Annotated[int, Range(1, 1000)] = 1
     """Number of times that each flight is repeated without a break, to measure time and memory of long flights, whose
-    rows are named FLIGHT×LAPS. Flights must begin and end at rest at the same pose."""
+    rows are named FLIGHT×LAPS. Flights must begin and end at rest at the same pose, as room-aggressive and hover do."""
     estimators: tuple[str, ...] = ("vio",)
     """Estimators to run. Several names may be joined by commas."""
     metrics: tuple[str, ...] = ()
