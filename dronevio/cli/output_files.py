@@ -13,6 +13,22 @@ from dronevio.models.recordings.euroc import INCOMPLETE
 
 
 @contextmanager
+def resumable(kept: Path, what: str) -> Iterator[None]:
+    """Say where finished parts of the work are kept, if what is within the context fails or is interrupted.
+
+    Args:
+        kept: Their file or folder; nothing is said if it does not exist.
+        what: What they are, in the plural.
+    """
+    try:
+        yield
+    except BaseException:
+        if kept.exists():
+            print(f"dronevio: finished {what} are kept in {kept}; the same command continues", file=sys.stderr)
+        raise
+
+
+@contextmanager
 def atomic_folder(target: Path, overwrite: bool = False, mark: str = "mav0") -> Iterator[Path]:
     """Yield a hidden folder beside ``target`` that is renamed to ``target`` if the context ends without an error.
 

@@ -199,3 +199,15 @@ def test_flights_of_the_documentation_can_be_repeated(name: str, seed: int) -> N
     planned = reference_of(flight, QuadrotorPlant(flight.rig, flight.quadrotor))
     assert np.linalg.norm(planned.position_m[-1] - planned.position_m[0]) < 0.5 * MAX_DISCONTINUITY_M
     assert abs(np.sin(0.5 * (planned.yaw_rad[-1] - planned.yaw_rad[0]))) < 1e-6
+
+
+def test_an_interrupted_benchmark_says_how_it_continues(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dronevio.eval.benchmark.runner.run_benchmark", interrupted)
+    words = ("--scenarios", "short", "--seeds", "1", "--cache", str(tmp_path / "cache"))
+    assert main(["benchmark", *words, "--out", str(tmp_path / "out")]) == 130
+    assert f"finished runs are kept in {tmp_path / 'out'}; the same command" in capsys.readouterr().err

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from dronevio.cli.output_files import atomic_file, atomic_folder, require_free, size_mb
+from dronevio.cli.output_files import atomic_file, atomic_folder, require_free, resumable, size_mb
 from dronevio.models.errors import InputError
 
 
@@ -134,3 +134,10 @@ def test_a_symbolic_link_stays_and_its_target_is_written(tmp_path: Path) -> None
         "folder",
         "mav0",
     ]
+
+
+def test_an_interruption_names_what_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for kept, text in ((tmp_path, f"finished runs are kept in {tmp_path}; the same"), (tmp_path / "missing", "")):
+        with pytest.raises(KeyboardInterrupt), resumable(kept, "runs"):
+            raise KeyboardInterrupt
+        assert text in (error := capsys.readouterr().err) and bool(error) == bool(text)

@@ -137,6 +137,7 @@ def main(arguments: Sequence[str]) -> int:
     engine = _engine(command)  # first, since it takes a while to plan thousands of flights
     benchmark = _planned(command)
 
+    from dronevio.cli.output_files import resumable
     from dronevio.eval.benchmark.cache import RecordingCache
     from dronevio.eval.benchmark.rows import RESULTS_FILE
     from dronevio.eval.benchmark.runner import run_benchmark
@@ -147,7 +148,7 @@ def main(arguments: Sequence[str]) -> int:
     cache = RecordingCache(benchmark.cache)
     cache.remove_abandoned()
     cache.trim()  # refuses a wrong limit before the first flight
-    with _run_progress(quiet=command.printing.json) as listener:
+    with resumable(folder, "runs"), _run_progress(quiet=command.printing.json) as listener:
         rows = run_benchmark(benchmark, store, engine, listener, command.retry)
     if command.printing.json:
         print_json({"results": str(folder / RESULTS_FILE), "rows": [row.columns for row in rows]})

@@ -86,7 +86,7 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     command = parse(DenseCommand, arguments, "dense")
 
-    from dronevio.cli.output_files import atomic_folder, require_free
+    from dronevio.cli.output_files import atomic_folder, require_free, resumable
     from dronevio.estimator.array_store import ArrayStore
     from dronevio.estimator.dense.finished import read_finished
     from dronevio.estimator.dense.pipeline import densify
@@ -101,7 +101,7 @@ def main(arguments: Sequence[str]) -> int:
     reconstruction = read_reconstruction(find_model(command.scene, command.component))
     images = _open(command)
     work = target.absolute().with_name(f".{target.name}.work")
-    with progress_bars(quiet=command.output.json) as bars:
+    with resumable(work, "depth maps"), progress_bars(quiet=command.output.json) as bars:
         result = densify(
             images,
             reconstruction,

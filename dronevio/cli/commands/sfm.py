@@ -3,9 +3,7 @@
 import math
 import shlex
 import shutil
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -117,7 +115,7 @@ def main(arguments: Sequence[str]) -> int:
     if unused and command.poses is None:
         raise ConfigError(f"{' and '.join(unused)} without --poses; expected --poses, too")
 
-    from dronevio.cli.output_files import atomic_folder, require_free
+    from dronevio.cli.output_files import atomic_folder, require_free, resumable
     from dronevio.estimator.sfm.earlier import earlier_cameras
     from dronevio.estimator.sfm.pipeline import reconstruct
     from dronevio.estimator.sfm.workspace import Workspace
@@ -136,7 +134,7 @@ def main(arguments: Sequence[str]) -> int:
     sigmas = command.pose_sigma_m, math.radians(command.pose_sigma_deg)
     poses = None if command.poses is None else read_poses(command.poses, images, command.poses_of, *sigmas)
     work = target.absolute().with_name(f".{target.name}.work")
-    with _kept(work), atomic_folder(target, command.output.overwrite, mark="report.json") as folder:
+    with resumable(work, "steps"), atomic_folder(target, command.output.overwrite, mark="report.json") as folder:
         with progress_bars(quiet=command.output.json) as bars:
             result = reconstruct(
                 images,
@@ -167,17 +165,6 @@ def main(arguments: Sequence[str]) -> int:
     _print(target, images, result, left_out)
     _print_doubts(images, result)
     return 0
-
-
-@contextmanager
-def _kept(work: Path) -> Iterator[None]:
-    """Say where finished steps are kept, if what is within the context fails or is interrupted."""
-    try:
-        yield
-    except BaseException:
-        if work.exists():
-            print(f"dronevio: finished steps are kept in {work}; the same command continues", file=sys.stderr)
-        raise
 
 
 def _open(command: SfmCommand, earlier: tuple[str, ...]) -> "ImageSet":
