@@ -309,7 +309,7 @@ def scenario_named(name: str, seed: int | None = None) -> Scenario:
 def _known(name: str) -> Scenario:
     versions = [known for known in SCENARIOS if known == name or known.rpartition("-v")[0] == name]
     if not versions:
-        expected = f"one that `dronevio scenarios` lists, or {PREFIX}package.module:NAME"
+        expected = f"one that `dronevio scenarios` lists, such as room-v0, or {PREFIX}package.module:NAME"
         raise unknown_name("scenario", name, SCENARIOS, expected)
     return SCENARIOS[versions[-1]]
 
