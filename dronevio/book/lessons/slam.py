@@ -190,7 +190,7 @@ plt.show()
 
 # %% [markdown]
 # The lap turns by 360°, of which the gyroscope measures 1.5 % too much: 5.4°. The
-# camera corrects about two thirds of it. What remains is a turn of the whole last
+# camera corrects about three quarters of it. What remains is a turn of the whole last
 # part of the path. The estimator cannot notice it, because nothing that it
 # measures between one keyframe and the next contradicts it.
 #
@@ -501,7 +501,7 @@ for name, Z in (
 
 # %% [markdown]
 # Two images, half a minute apart, tell the pose of one in the frame of the
-# other to about a centimetre. By the odometry, it is wrong by a third of a metre.
+# other to about a centimetre. By the odometry, it is wrong by 30 cm.
 #
 # ## 4. The pose graph
 #
@@ -596,10 +596,10 @@ for column, poses, colour, name in (
 plt.show()
 
 # %% [markdown]
-# The optimization has moved the end by a third of a metre, the middle of the lap
-# by less, and the start not at all. It spreads the contradiction over all steps.
-# This is more than a jump at the end: a map that is attached to the keyframes
-# moves with them.
+# The optimization has moved the end by 30 cm, the middle of the lap by less,
+# and the start not at all. It spreads the contradiction over all steps. This is
+# more than a jump at the end: a map that is attached to the keyframes moves
+# with them.
 #
 # ## 5. A wrong loop
 #
@@ -731,10 +731,10 @@ plt.show()
 #
 # <details markdown="1"><summary>Answer</summary>
 #
-# The ATE decreases from 7.5 cm to 7.0 cm: the four corners take most of the
+# The ATE decreases from 6.8 cm to 6.5 cm: the four corners take most of the
 # rotation, as they do in truth, and the straight wings stay straight. A part of
 # the rest is an error of scale: with a free scale, `dv.ate(truth, path,
-# "sim3")`, 6.2 cm remain. One loop says little about the scale of a lap that
+# "sim3")`, 6.0 cm remain. One loop says little about the scale of a lap that
 # ends where it began.
 #
 # </details>
@@ -745,24 +745,24 @@ plt.show()
 #
 # <details markdown="1"><summary>Answer</summary>
 #
-# There are twelve, and the ATE is 7.4 cm instead of 7.5 cm. All of them connect
+# There are twelve, and the ATE is 6.8 cm, as with one. All of them connect
 # the end of the lap with its start, which one loop has done already. The error
 # that remains is in the middle. A second lap would visit it again, and each
 # wing would be connected with itself.
 #
 # </details>
 #
-# **3. How many pairs?** In the loop, 22 of 48 matches are right. With which
+# **3. How many pairs?** In the loop, 21 of 50 matches are right. With which
 # probability does a pair of matches consist of two right ones? After how many
 # pairs has RANSAC drawn one with a probability of 99 %? How many would be
 # necessary with three matches for each pose? Check the answer with `PAIRS`.
 #
 # <details markdown="1"><summary>Answer</summary>
 #
-# The probability is $0.46^2 = 0.21$, so that
-# $n = \log 0.01 / \log(1 - 0.21) = 20$ pairs suffice. With three matches it is
-# $0.46^3 = 0.10$, and $n = 44$. That is what gravity saves, and the reason why
-# 300 pairs are ample here. With 30 pairs, as many matches agree.
+# The probability is $0.42^2 = 0.18$, so that
+# $n = \log 0.01 / \log(1 - 0.18) = 24$ pairs suffice. With three matches it is
+# $0.42^3 = 0.07$, and $n = 60$. That is what gravity saves, and the reason why
+# 300 pairs are ample here. With 30 pairs, 18 matches agree.
 #
 # </details>
 #
@@ -778,12 +778,12 @@ plt.show()
 # MIN_AGREEING = 3
 # ```
 #
-# **An odometry that is too sure.** In section 4, give each step 0.05°. The loop
+# **An odometry that is too sure.** In section 4, give each step 0.02°. The loop
 # then contradicts the odometry by many standard deviations. The robust loss
 # takes it for a wrong one, and corrects next to nothing.
 #
 # ```python
-# STEP_SIGMA_DEG = 0.05
+# STEP_SIGMA_DEG = 0.02
 # ```
 #
 # **No robust loss.** In section 5, use the squared error for both. The wrong
