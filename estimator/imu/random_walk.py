@@ -29,7 +29,7 @@ MAX_NORMALIZED_SQUARE = 25.0
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """What was known about a bias at the begin of an interval."""
+    """What was known about a bias at the beginning of an interval."""
 
     t_ns: int
     bias: Array  # (3,)
