@@ -190,8 +190,8 @@ plt.show()
 
 # %% [markdown]
 # The lap turns by 360°, of which the gyroscope measures 1.5 % too much: 5.4°. The
-# camera corrects about three quarters of it. What remains is a turn of the whole last
-# part of the path. The estimator cannot notice it, because nothing that it
+# camera corrects about three quarters of it. What remains is a turn of the whole
+# last part of the path. The estimator cannot notice it, because nothing that it
 # measures between one keyframe and the next contradicts it.
 #
 # ## 2. Visual words

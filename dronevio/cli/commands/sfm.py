@@ -248,16 +248,21 @@ def _write(
         georeferences=tuple(world.geo for world in result.worlds),
     )
     if results.origin is not None:
-        from dronevio.models.reconstructions.geographic import write_cameras_geojson, write_cameras_kml
-
-        placed = [r for r, world in zip(result.reconstructions, result.worlds, strict=True) if world.origin is not None]
-        write_cameras_geojson(folder / "cameras.geojson", placed, results.origin)
-        write_cameras_kml(folder / "cameras.kml", placed, results.origin, target.name)
+        _write_places(folder, result, results.origin, target.name)
     progress(total - 2, total)
     write_reconstruction_report(folder, info, results)
     progress(total - 1, total)
     write_reconstruction_rerun(result.reconstructions, folder / "run.rrd", read, up=results.up, name=target.name)
     progress(total, total)
+
+
+def _write_places(folder: Path, result: "SfmResult", origin: "GeodeticPoint", name: str) -> None:
+    """Write the positions on Earth of the cameras that have one."""
+    from dronevio.models.reconstructions.geographic import write_cameras_geojson, write_cameras_kml
+
+    placed = [r for r, world in zip(result.reconstructions, result.worlds, strict=True) if world.origin is not None]
+    write_cameras_geojson(folder / "cameras.geojson", placed, origin)
+    write_cameras_kml(folder / "cameras.kml", placed, origin, name)
 
 
 def _up(result: "SfmResult") -> Any:

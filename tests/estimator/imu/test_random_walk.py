@@ -103,6 +103,28 @@ def test_an_unobserved_bias_shows_nothing() -> None:
     assert estimator.density == pytest.approx(DENSITY)
 
 
+def test_an_unobserved_interval_keeps_what_is_known() -> None:
+    unit = DENSITY**2 * 3.0
+    estimator = RandomWalkEstimator(DENSITY, max_factor=16.0)
+    estimator.add(0, np.zeros(3), np.full(3, unit))
+    bias = np.full(3, np.sqrt(7.0 * unit))
+    estimator.add(3_000_000_000, bias, np.full(3, unit))
+    walked = estimator.density**2 * 3.0  # its variance grows by the walk, and its estimate stays
+    estimator.add(6_000_000_000, bias, np.full(3, unit + walked))
+    assert estimator.density == pytest.approx(2.0 * DENSITY)
+
+
+def test_a_walk_that_ends_is_forgotten() -> None:
+    """Ten intervals with 16 times the expected squares, then 40 with the expected ones, of which the last ten count."""
+    estimator, bias = RandomWalkEstimator(DENSITY, max_factor=16.0), 0.0
+    for i in range(51):
+        bias += np.sqrt(3.0) * DENSITY * (4.0 if 0 < i <= 10 else 1.0)
+        estimator.add(i * 3_000_000_000, np.full(3, bias), np.full(3, DENSITY**2))
+        if i == 10:
+            assert estimator.density > 3.0 * DENSITY
+    assert estimator.density < 1.2 * DENSITY
+
+
 @pytest.mark.parametrize(
     ("jump", "is_forgotten", "raises"), [(5.0, False, True), (5.0, True, False), (1e4, False, False)]
 )
