@@ -17,6 +17,7 @@ import numpy.typing as npt
 from gtsam_unstable import eqvio
 
 from dronevio.estimator.frontend.corners import CornerConfig
+from dronevio.estimator.frontend.patches import PatchConfig
 from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
@@ -95,9 +96,13 @@ class EquivariantConfig(Settings):
 
     filter: FilterSettings = field(default_factory=FilterSettings)
     """Settings of GTSAM's filter."""
-    tracker: TrackerConfig = field(default_factory=lambda: TrackerConfig(corners=CornerConfig(cell_px=120)))
-    """Settings of the feature tracker, with 24 grid cells at 752×480 because the cost of the filter grows with the cube
-    of the number of landmarks."""
+    tracker: TrackerConfig = field(
+        default_factory=lambda: TrackerConfig(
+            corners=CornerConfig(cell_px=120), patches=PatchConfig(iterations=3, tracking_iterations=1)
+        )
+    )
+    """Settings of the feature tracker: patches aligned at every frame, because each updates the filter, and 24 grid
+    cells at 752×480, because the cost of the filter grows with the cube of the number of landmarks."""
     zero_velocity: ZeroVelocityConfig = field(default_factory=lambda: ZeroVelocityConfig(max_flow_px=0.6))
     """Settings of the zero-velocity detection."""
     min_stationary_s: Annotated[float, Range(0.05, 60.0)] = 0.8

@@ -82,7 +82,8 @@ class CalibrationProblem:
             self._is_done = True
             return
         self._x = step.x
-        self._is_done = step.decrement < self._config.max_decrement or self._steps >= self._config.iterations
+        is_last = step.decrement < self._config.max_decrement * len(step.delta)
+        self._is_done = is_last or self._steps >= self._config.iterations
         if self._is_done:
             newest_and_common = np.arange(len(step.delta))[-len(self._objective.estimated) - BIAS_DIM - STATE_DIM :]
             covariance = step.factor.inverse_block(newest_and_common)

@@ -242,7 +242,7 @@ class OnlineCalibration:
         c = self._prior.config
         if len(keyframe.ids) - len(np.unique(keyframe.ids)) < c.min_landmarks:
             return False
-        config = replace(c.adjustment, min_views=2, max_reprojection_px=100.0, iterations=10, max_decrement=0.1)
+        config = replace(c.adjustment, min_views=2, max_reprojection_px=100.0, iterations=10, max_decrement=0.002)
         window = CalibrationWindow((keyframe,), begins_stationary=False, is_complete=False)
         problem = self._prior.problem(window, self._estimate, config)
         if problem.landmark_count < c.min_landmarks:

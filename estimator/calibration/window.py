@@ -63,8 +63,9 @@ class AdjustmentConfig(Settings):
     """Largest root mean square reprojection error of a landmark before the adjustment [px]."""
     iterations: Annotated[int, Range(1, 50)] = 3
     """Largest number of Gauss-Newton steps."""
-    max_decrement: Annotated[float, Range(low=0.0)] = 1.0
-    """Squared length of a step in standard deviations (Newton decrement) below which it is the last one."""
+    max_decrement: Annotated[float, Range(low=0.0)] = 0.2
+    """Squared length of a step in standard deviations (Newton decrement), per unknown, below which it is the last one:
+    the next step would be shorter than two standard deviations over all unknowns together."""
     orientation_sigma_rad: Annotated[float, Range(1e-5, 10.0)] = 0.1
     """Prior standard deviation of the first keyframe's orientation [rad]."""
     velocity_sigma_m_s: Annotated[float, Range(1e-5, 100.0)] = 0.5

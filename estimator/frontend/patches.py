@@ -35,6 +35,9 @@ RESIDUAL_SIGMA = 3.0
 NOISE_THRESHOLD = 6.0
 """Standard deviation of the image noise above which `NOISY_BLUR_PX` replaces `PatchConfig.blur_px` [grey levels]."""
 NOISY_BLUR_PX = 1.0  # standard deviation of the Gaussian blur applied to noisy images
+UNALIGNED_LOSS = 0.05
+"""Allowance for the ZNCC of a patch that is compared with an image and not aligned with it; 0.1 % of the patches that
+can be aligned lose more."""
 MIN_NORM = 1e-3  # smallest norm of a patch [grey levels], so that uniform patches cause no division by zero
 
 
@@ -45,10 +48,11 @@ class PatchConfig(Settings):
     side_px: Annotated[int, Range(5, 41, odd=True)] = 13
     """Side of a patch [px], an odd number. A larger patch has more texture, but an affine warp describes it less well
     where the surface is oblique."""
-    iterations: Annotated[int, Range(1, 50)] = 3
+    iterations: Annotated[int, Range(1, 50)] = 6
     """Number of Gauss-Newton iterations per keyframe."""
-    tracking_iterations: Annotated[int, Range(1, 50)] = 1
-    """Number of them at every frame, which keeps the patch aligned from one frame to the next."""
+    tracking_iterations: Annotated[int, Range(0, 50)] = 0
+    """Number of them at every frame between keyframes. With none, patches are only compared with the image there, and
+    errors of Lucas-Kanade accumulate up to the next keyframe. A filter that uses every frame needs one."""
     warp_sigma: Annotated[float, Range(above=0.0, high=1e3)] = 0.05
     """Standard deviation of the change of each element of the affine warp within 50 ms, of a random walk."""
     blur_px: Annotated[float, Range(0.0, 10.0)] = 0.5
@@ -144,6 +148,8 @@ class PatchAlignment:
 class ScaleSpace:
     """An image at several levels of Gaussian blur, all of the original resolution."""
 
+    image: Image
+    """(h, W) The image."""
     stack: Image
     """(L H, W) The L levels, one below the other, each padded above and below."""
     height: int
@@ -158,6 +164,7 @@ class PatchAligner:
     def __init__(self, config: PatchConfig) -> None:
         self._config = config
         self._grid = _grid(config.side_px)  # (2, P)
+        self._sparse = np.flatnonzero(((self._grid - self._grid[:, :1]) % 2 == 0).all(axis=0))  # every second one
         self._surroundings = _grid(config.side_px + 2)  # with one pixel around the patch, for central differences
 
     def scale_space(self, image: Image) -> ScaleSpace:
@@ -172,7 +179,7 @@ class PatchAligner:
         for level, sigma in enumerate(sigmas.tolist()):
             kernel_px = 2 * round(2.0 * sigma) + 1
             cv2.GaussianBlur(padded, (kernel_px, kernel_px), sigma, dst=stack[level * height : (level + 1) * height])
-        return ScaleSpace(stack, height, noise)
+        return ScaleSpace(image, stack, height, noise)
 
     def extract(self, image: ScaleSpace, pixels: Array) -> Patches:
         """Return the patches around pixels (N, 2) of an image, with identity warps."""
@@ -237,6 +244,27 @@ class PatchAligner:
         valid = (zncc > c.min_zncc - noise_loss) & (scale_squared > c.max_scale**-2) & (scale_squared < c.max_scale**2)
         return PatchAlignment(pixels, replace(patches, warp=warp), zncc, valid & np.isfinite(pixels).all(axis=1))
 
+    def resembles(self, image: Image, noise: float, patches: Patches, pixels: Array) -> npt.NDArray[np.bool_]:
+        """Return which patches (N,) resemble an image at pixels (N, 2), without an alignment.
+
+        Every second pixel in each direction is compared with the image, which is not blurred, at the predicted warps.
+
+        Args:
+            image: The image (H, W).
+            noise: Standard deviation of its noise [grey levels].
+            patches: N patches with their predicted warps.
+            pixels: (N, 2) Positions [px].
+        """
+        templates, rows = patches.templates, patches.rows
+        if not len(rows):  # cv2.remap refuses empty maps
+            return np.zeros(0, np.bool_)
+        values, _ = _normalized(templates.values[rows][:, self._sparse])
+        x, y = _warped(self._grid[:, self._sparse], pixels, patches.warp)
+        samples = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        current, _ = _normalized(np.asarray(samples, np.float32))
+        noise_loss = (noise * self._config.side_px / templates.norm[rows]) ** 2
+        return np.asarray(np.sum(current * values, axis=1) > self._config.min_zncc - UNALIGNED_LOSS - noise_loss)
+
     def _sampled(
         self, image: ScaleSpace, pixels: Array, warp: Array | None = None, grid: Array32 | None = None
     ) -> Array32:
@@ -246,11 +274,7 @@ class PatchAligner:
             return np.zeros((0, grid.shape[1]), np.float32)
         warp = np.tile(np.eye(2), (n, 1, 1)) if warp is None else warp
         level = np.abs(_scale(warp)[:, None] - self._config.scales).argmin(axis=1)
-        centre = np.clip(pixels, -MAX_COORDINATE_PX, MAX_COORDINATE_PX).astype(np.float32)
-        axes = warp.astype(np.float32)
-        x, y = axes[:, 0] @ grid, axes[:, 1] @ grid
-        x += centre[:, :1]
-        y += centre[:, 1:]
+        x, y = _warped(grid, pixels, warp)
         np.clip(y, -MARGIN_PX, image.height - MARGIN_PX - 1, out=y)
         y += (MARGIN_PX + level * image.height).astype(np.float32)[:, None]
         return np.asarray(cv2.remap(image.stack, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
@@ -271,6 +295,16 @@ def _grid(side_px: int) -> Array32:
     """Return the coordinates (2, P) of the pixels of a square patch relative to its centre, row by row [px]."""
     line = np.arange(side_px, dtype=np.float32) - side_px // 2
     return np.stack(np.meshgrid(line, line), axis=0).reshape(2, -1)
+
+
+def _warped(grid: Array32, pixels: Array, warp: Array) -> tuple[Array32, Array32]:
+    """Return the coordinates (N, P) of grids (2, P) that are warped by (N, 2, 2) around pixels (N, 2) [px]."""
+    centre = np.clip(pixels, -MAX_COORDINATE_PX, MAX_COORDINATE_PX).astype(np.float32)
+    axes = warp.astype(np.float32)
+    x, y = axes[:, 0] @ grid, axes[:, 1] @ grid
+    x += centre[:, :1]
+    y += centre[:, 1:]
+    return x, y
 
 
 def _scale(warp: Array) -> Array:

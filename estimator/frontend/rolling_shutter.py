@@ -9,7 +9,6 @@ acceleration a, a depth z and a time Δt between frames.
 """
 
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from dronevio.models.state import Estimate
 
 EXTRAPOLATION_S = 0.1  # beyond the measured motion, the angular velocity is held for this time [s]
 ACCEL_SAMPLES = 4  # increments on each side of a frame whose mean is its specific force, to average out vibration
-ANGULAR_VELOCITY_STEP_S = 0.005  # half the step of the numeric derivative at the frame, one interval of the IMU [s]
+ANGULAR_VELOCITY_SPAN_S = 0.005  # on each side of a frame, in which the gyroscope is averaged; one interval of it [s]
 MIN_FLOW_INTERVAL_S = 1e-3  # shortest time between two observations that a flow is computed from [s]
 MAX_GAP_S = 0.5  # longest time without an image across which a flow is computed [s]
 NO_DELAYS_S = np.zeros(1)  # of images that all have the time stamp of their frame
@@ -57,12 +56,6 @@ class LocalRotation:
         Rs_past, Rs_future = cumulative_rotations(steps[: len(past)]), cumulative_rotations(steps[len(past) :])
         return cls(t_s, log_so3(np.concatenate([Rs_past[::-1], np.eye(3)[None], Rs_future])))
 
-    @cached_property
-    def angular_velocity_rad_s(self) -> Array:
-        """(3,) Angular velocity at the frame [rad/s]."""
-        before, after = self.at(np.array([-ANGULAR_VELOCITY_STEP_S, ANGULAR_VELOCITY_STEP_S]))
-        return np.asarray((after - before) / (2.0 * ANGULAR_VELOCITY_STEP_S))
-
     def at(self, t_s: Array) -> Array:
         """Return the rotation vectors (N, 3) of R_frame_t [rad] at times (N,) relative to the frame's [s]."""
         return np.stack([np.interp(t_s, self.t_s, axis) for axis in self.rotation_rad.T], axis=-1)
@@ -92,6 +85,7 @@ class ExposureCompensation:
         self._increments = NO_INCREMENTS, NO_INCREMENTS  # before and after the frame
         self._gyro_bias_rad_s = np.zeros(3)
         self._local_rotation: LocalRotation | None = None  # computed when it is used, which is not in every frame
+        self._angular_velocity_rad_s: Array | None = None  # the same
         self._accel_m_s2 = np.zeros(3)
         self._frame_interval_s = 0.0
         self._image_delays_s = NO_DELAYS_S
@@ -128,7 +122,8 @@ class ExposureCompensation:
         """
         self._image_delays_s = image_delays_s
         self._last, self._frame_interval_s = self._now, float(before.dt_s.sum())
-        self._increments, self._gyro_bias_rad_s, self._local_rotation = (before, after), gyro_bias_rad_s, None
+        self._increments, self._gyro_bias_rad_s = (before, after), gyro_bias_rad_s
+        self._local_rotation = self._angular_velocity_rad_s = None
         near = np.concatenate([before.accel_m_s2[-ACCEL_SAMPLES:], after.accel_m_s2[:ACCEL_SAMPLES]])
         self._accel_m_s2 = near.mean(axis=0) if len(near) else np.zeros(3)
 
@@ -142,7 +137,9 @@ class ExposureCompensation:
     @property
     def angular_velocity_rad_s(self) -> Array:
         """(3,) Angular velocity of the IMU at the frame, bias removed [rad/s]."""
-        return self._rotation.angular_velocity_rad_s
+        if self._angular_velocity_rad_s is None:
+            self._angular_velocity_rad_s = _angular_velocity(*self._increments, self._gyro_bias_rad_s)
+        return self._angular_velocity_rad_s
 
     def at_frame_time(self, observations: Observations, calibration: Calibration) -> Observations:
         """Return the observations of a frame as they are at the time of the frame.
@@ -296,6 +293,26 @@ class ExposureCompensation:
         xy = here[:, :2] - _displacement(delay_s, (drift[:, :2] - here[:, :2] * drift[:, 2:]) / depth[:, None])
         kept = np.isfinite(xy[:, 0])
         return replace(matches, ids=matches.ids[kept], camera=matches.camera[kept], xy=xy[kept])
+
+
+def _angular_velocity(before: Increments, after: Increments, gyro_bias_rad_s: Array) -> Array:
+    """Return the mean angular velocity (3,) around a frame [rad/s]; where nothing is measured, the nearest is held.
+
+    Args:
+        before: Increments that end at the frame.
+        after: Increments that begin at the frame, as far as they are available.
+        gyro_bias_rad_s: (3,) Gyroscope bias [rad/s].
+    """
+    sides = (before.dt_s[::-1], before.gyro_rad_s[::-1]), (after.dt_s, after.gyro_rad_s)  # from the frame outwards
+    nearest = [gyro[0] for _, gyro in sides if len(gyro)]
+    if not nearest:
+        return np.zeros(3)
+    angle_rad = np.zeros(3)
+    for (dt_s, gyro), held in zip(sides, (nearest[0], nearest[-1]), strict=True):
+        within_s = np.diff(np.minimum(np.cumsum(dt_s), ANGULAR_VELOCITY_SPAN_S), prepend=0.0)
+        farthest = gyro[-1] if len(gyro) else held
+        angle_rad += within_s @ gyro + (ANGULAR_VELOCITY_SPAN_S - within_s.sum()) * farthest
+    return angle_rad / (2.0 * ANGULAR_VELOCITY_SPAN_S) - gyro_bias_rad_s
 
 
 def _displacement(delay_s: Array, flow: Array) -> Array:

@@ -1,9 +1,9 @@
 """Feature tracker of one camera.
 
 Corners are tracked from frame to frame by pyramidal Lucas-Kanade (Bouguet 2001), starting at the positions that the
-gyroscope's rotation predicts. Each is then aligned with the patch of the frame in which it was first observed
-(`dronevio.estimator.frontend.patches`), so that tracking errors do not accumulate. RANSAC rejects the features that are
-not consistent with one rigid motion.
+gyroscope's rotation predicts. At keyframes, each is aligned with the patch of the frame in which it was first observed
+(`dronevio.estimator.frontend.patches`), so that tracking errors do not accumulate; at the frames between them, it is
+compared with that patch. RANSAC rejects the features that are not consistent with one rigid motion.
 """
 
 from collections.abc import Iterator
@@ -16,11 +16,11 @@ import numpy.typing as npt
 
 from dronevio.estimator.frontend import klt
 from dronevio.estimator.frontend.corners import CornerConfig, detect_corners
-from dronevio.estimator.frontend.patches import WALK_S, PatchAligner, PatchConfig, Patches
+from dronevio.estimator.frontend.patches import WALK_S, PatchAligner, PatchConfig, Patches, ScaleSpace
 from dronevio.estimator.frontend.protocol import AtExposure, image_of, is_inside
 from dronevio.estimator.frontend.ransac import MIN_MATCHES, epipolar_inliers, essential_inliers
 from dronevio.estimator.types import Observations
-from dronevio.models.arrays import Array, Image, Mask
+from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
@@ -32,6 +32,9 @@ MAX_CORRECTION_PX = 2.0  # largest distance between the results of Lucas-Kanade 
 MAX_ROTATION_SIGMA_RAD = 0.01
 """Standard deviation of the gyroscope's rotation above which the essential matrix replaces it [rad]; the tolerance of
 the two-point method grows with that deviation and would admit outliers."""
+MIN_AGREEING = 0.95
+"""Share of the features that agree with one motion up to which patches are aligned between keyframes, too: in fast
+motion, errors of Lucas-Kanade exceed the tolerance."""
 MIN_SHARE = 0.1
 """Smallest share of the features that is still observed, if they are too few for a significant consensus. Fewer of them
 agree by chance, as after a gap of the images: some patches are similar, and any two fit some translation."""
@@ -110,12 +113,13 @@ class FeatureTracker:
         self._identities = count() if identities is None else identities
         self._config = config
         self._aligner = PatchAligner(config.patches)
+        self._iterations_between = max(config.patches.tracking_iterations, 1)  # keyframes, where patches are aligned
         self._rng = np.random.default_rng(config.seed)
         self._image: Image | None = None  # the last image
-        self._image_ns = 0  # its time
-        self._elapsed_s = WALK_S  # between it and the image before
+        self._image_ns = self._aligned_ns = 0  # its time, and that of the last image with which patches were aligned
+        self._elapsed_s = WALK_S  # between it and the image with which they were aligned before
         self._unseen: tuple[Array, float] | None = None  # rotation and its σ since then; None if it is of this frame
-        self._scale_space = self._aligner.scale_space(np.zeros((camera.height, camera.width), np.uint8))
+        self._last_levels = self._aligner.scale_space(np.zeros((camera.height, camera.width), np.uint8))
         self._features = self._new_features(np.zeros((0, 2)))
 
     def track(
@@ -142,17 +146,15 @@ class FeatureTracker:
         self._unseen = (R_cur_prev, rotation_sigma_rad) if image is None else None
         if image is None:
             return self._observations()
-        # The new image and its scale space
+        # The new image
         previous, self._image = self._image, image
         if previous is not None:
-            self._elapsed_s = (frame.t_ns - self._image_ns) * 1e-9
+            self._elapsed_s = (frame.t_ns - self._aligned_ns) * 1e-9
         self._image_ns = frame.t_ns
-        self._scale_space = self._aligner.scale_space(self._image)
         # Tracking, and rejection of outliers by the epipolar geometry
         if previous is not None and len(self._features.ids):
             previous = klt.match_brightness(previous, self._image)
-            tracked = self._tracked(previous, self._image, R_cur_prev)
-            agreeing = self._inliers(tracked, R_cur_prev, rotation_sigma_rad)
+            agreeing = self._tracked(previous, self._image, R_cur_prev, rotation_sigma_rad)
             is_chance = len(agreeing.ids) < min(MIN_MATCHES, MIN_SHARE * len(self._features.ids))
             self._features = agreeing[:0] if is_chance else agreeing
         return self._observations()
@@ -164,9 +166,10 @@ class FeatureTracker:
         """
         if self._image is not None and self._unseen is None:
             self._features = self._refined(self._features)
-            c, noise, occupied = self._config, self._scale_space.noise, self._features.pixels
+            c, noise, occupied = self._config, self._levels.noise, self._features.pixels
             corners = detect_corners(self._image, noise, occupied, c.border_px, c.corners)
             self._features = self._features.joined(self._new_features(corners))
+            self._aligned_ns = self._image_ns
         return self._observations()
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
@@ -182,49 +185,71 @@ class FeatureTracker:
         """Return new features at pixels (N, 2) of the current image."""
         n = len(pixels)
         ids = np.fromiter(islice(self._identities, n), np.int64)
-        patches = self._aligner.extract(self._scale_space, pixels)
+        patches = self._aligner.extract(self._levels, pixels)
         return _Features(ids, np.ones(n, np.int64), pixels, self._camera.normalize(pixels), np.ones(n), patches)
 
-    def _tracked(self, previous: Image, image: Image, R_cur_prev: Array) -> _Features:
-        """Return the features that are found in the current image, at their new pixels.
+    @property
+    def _levels(self) -> ScaleSpace:
+        """The scale space of the last image, computed when it is used, which is not in every frame."""
+        if self._image is not None and self._last_levels.image is not self._image:
+            self._last_levels = self._aligner.scale_space(self._image)
+        return self._last_levels
 
-        If most are not found, the prediction is regarded as wrong, and the others are searched in a larger
+    def _tracked(self, previous: Image, image: Image, R_cur_prev: Array, rotation_sigma_rad: float) -> _Features:
+        """Return the features that are found in the current image and agree with one motion, at their new pixels.
+
+        Their patches are compared with the image, or aligned with it if most do not resemble it or some do not agree.
+        If most cannot be aligned, the prediction is regarded as wrong, and the others are searched in a larger
         neighbourhood of their previous positions.
         """
+        # Prediction by the gyroscope
         c, features = self._config, self._features
         bearings = np.column_stack([features.xy, np.ones(len(features.xy))]) @ R_cur_prev.T
         # A prediction behind the camera has no pixel; OpenCV needs a finite one.
         predicted = self._camera.project(bearings)
         predicted = np.where(np.isnan(predicted), -OUTSIDE_PX, predicted).clip(-OUTSIDE_PX, OUTSIDE_PX)
+        enough = c.min_tracked_ratio * is_inside(predicted, self._camera, c.border_px).sum()
+        # Lucas-Kanade from there, and comparison of the patches
         features = replace(features, patches=features.patches.rolled(R_cur_prev))
-        pixels, is_tracked = klt.track(previous, image, features.pixels, predicted, c.window_px, c.pyramid_levels)
-        tracked = self._aligned(features, pixels, is_tracked)
-        if len(tracked.ids) > c.min_tracked_ratio * is_inside(predicted, self._camera, c.border_px).sum():
-            return tracked
-        lost = features[~np.isin(features.ids, tracked.ids)]
-        levels = c.pyramid_levels + RETRY_LEVELS
-        pixels, is_tracked = klt.track(previous, image, lost.pixels, lost.pixels, c.window_px, levels)
-        tracked = tracked.joined(self._aligned(lost, pixels, is_tracked))
-        return tracked[np.argsort(tracked.ids)]
+        found = self._found(previous, image, features, predicted, c.pyramid_levels)
+        if not c.patches.tracking_iterations:
+            resembling = found[self._aligner.resembles(image, self._last_levels.noise, found.patches, found.pixels)]
+            agreeing = self._inliers(resembling, R_cur_prev, rotation_sigma_rad)
+            if len(resembling.ids) > enough and len(agreeing.ids) > MIN_AGREEING * len(resembling.ids):
+                return agreeing
+        # Alignment of the patches
+        tracked = self._aligned(found)
+        if len(tracked.ids) <= enough:
+            lost = features[~np.isin(features.ids, tracked.ids)]
+            found = self._found(previous, image, lost, lost.pixels, c.pyramid_levels + RETRY_LEVELS)
+            tracked = tracked.joined(self._aligned(found))
+            tracked = tracked[np.argsort(tracked.ids)]
+        return self._inliers(tracked, R_cur_prev, rotation_sigma_rad)
 
-    def _aligned(self, features: _Features, pixels: Array, is_tracked: Mask) -> _Features:
-        """Return the features whose patches can be aligned with the current image near pixels (N, 2)."""
-        is_tracked = is_tracked & is_inside(pixels, self._camera, self._config.border_px)
-        features, pixels = features[is_tracked], pixels[is_tracked]
-        return self._moved(features, pixels, self._config.patches.tracking_iterations)
+    def _found(self, previous: Image, image: Image, features: _Features, start: Array, levels: int) -> _Features:
+        """Return the features that Lucas-Kanade finds in an image from starting points (N, 2) [px], at their pixels."""
+        c = self._config
+        pixels, is_tracked = klt.track(previous, image, features.pixels, start, c.window_px, levels)
+        return replace(features, pixels=pixels)[is_tracked & is_inside(pixels, self._camera, c.border_px)]
+
+    def _aligned(self, features: _Features) -> _Features:
+        """Return the features whose patches can be aligned with the current image."""
+        self._aligned_ns = self._image_ns
+        return self._moved(features, self._iterations_between)
 
     def _refined(self, features: _Features) -> _Features:
         """Return the features with the remaining iterations of the alignment in the current image."""
-        c = self._config.patches
-        if c.iterations <= c.tracking_iterations:
+        taken = self._iterations_between if self._aligned_ns == self._image_ns else 0
+        remaining = self._config.patches.iterations - taken
+        if remaining <= 0:
             return features
-        refined = self._moved(features, features.pixels, c.iterations - c.tracking_iterations)
+        refined = self._moved(features, remaining)
         return replace(refined, xy=self._camera.normalize(refined.pixels))
 
-    def _moved(self, features: _Features, pixels: Array, iterations: int) -> _Features:
-        """Return the features whose patches can be aligned near pixels (N, 2), by some iterations."""
-        result = self._aligner.align(self._scale_space, features.patches, pixels, iterations, self._elapsed_s)
-        correction_px = np.linalg.norm(result.pixels - pixels, axis=1)
+    def _moved(self, features: _Features, iterations: int) -> _Features:
+        """Return the features whose patches can be aligned near their pixels, by some iterations."""
+        result = self._aligner.align(self._levels, features.patches, features.pixels, iterations, self._elapsed_s)
+        correction_px = np.linalg.norm(result.pixels - features.pixels, axis=1)
         valid = result.valid & (correction_px < MAX_CORRECTION_PX)
         valid &= is_inside(result.pixels, self._camera, self._config.border_px)
         return replace(features, pixels=result.pixels, zncc=result.zncc, patches=result.patches)[valid]

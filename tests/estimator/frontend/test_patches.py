@@ -178,6 +178,19 @@ def test_partly_occluded_patches_are_rejected() -> None:
     assert result.valid[(POINTS[:, 0] < 85) | (POINTS[:, 0] > 155)].all()
 
 
+@pytest.mark.parametrize(("noise", "by_chance"), [(0.0, 0.1), (20.0, 0.4)])
+def test_patches_resemble_the_image_near_their_place_and_not_elsewhere(noise: float, by_chance: float) -> None:
+    """A patch that is not aligned: displaced by half a pixel, brighter, and of less contrast."""
+    aligner, d = PatchAligner(CONFIG), np.array([0.4, -0.3])
+    patches = aligner.extract(aligner.scale_space(picture()), POINTS)
+    image = np.asarray(np.clip(0.7 * picture(shift=d).astype(float) + 30.0, 0, 255), np.uint8)
+    noisy = image + noise * np.random.default_rng(1).normal(size=image.shape)
+    target = np.asarray(np.clip(noisy, 0, 255), np.uint8)
+    at = {offset: aligner.resembles(target, noise_sigma(target), patches, POINTS + offset) for offset in (0.0, 9.0)}
+    assert at[0.0].mean() > 0.95 and at[9.0].mean() < by_chance
+    assert not len(aligner.resembles(target, noise, patches[:0], POINTS[:0]))
+
+
 def test_blank_images_and_points_outside_are_handled() -> None:
     aligner = PatchAligner(CONFIG)
     blank = aligner.scale_space(np.zeros((HEIGHT, WIDTH), np.uint8))

@@ -233,6 +233,23 @@ def test_angular_velocity_at_the_frame() -> None:
     np.testing.assert_allclose(times.angular_velocity_rad_s, RATE, atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "expected"),
+    [((1.0, 2.0), (5.0,), 3.4), ((1.0, 2.0), (), 1.9), ((), (5.0, 6.0), 5.1), ((), (), 0.0)],
+)
+def test_angular_velocity_is_the_mean_of_five_milliseconds_on_each_side(
+    before: tuple[float, ...], after: tuple[float, ...], expected: float
+) -> None:
+    """Intervals of 4 ms: the nearest counts in full and the next one for 1 ms; the nearest rate is held elsewhere."""
+    times, bias = ExposureCompensation(), np.array([0.5, 0.0, -0.5])
+    sides = [
+        Increments(np.full(len(side), 0.004), np.outer(side, [1.0, 0.0, 2.0]) + bias, np.zeros((len(side), 3)))
+        for side in (before, after)
+    ]
+    times.begin_frame(*sides, bias)
+    np.testing.assert_allclose(times.angular_velocity_rad_s, [expected, 0.0, 2.0 * expected], atol=1e-12)
+
+
 def test_compensation_can_be_repeated_within_a_frame() -> None:
     path, points, times = Path(RATE, ANGULAR_ACCELERATION, O, O), landmarks(), ExposureCompensation()
     calibration = Calibration(Rig((ROLLING,)))

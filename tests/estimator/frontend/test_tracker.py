@@ -50,6 +50,11 @@ def true_pixels(pixels: Array, R_world_cam: Array, p_m: Array | None = None) -> 
     return CAMERA.project((points - (0.0 if p_m is None else p_m)) @ R_world_cam)
 
 
+def with_iterations(tracking_iterations: int) -> TrackerConfig:
+    """Return the settings with a number of iterations of the alignment between keyframes."""
+    return replace(CONFIG, patches=replace(CONFIG.patches, tracking_iterations=tracking_iterations))
+
+
 def track_once(
     wall: WallSequence,
     R: Array,
@@ -132,7 +137,9 @@ def test_warps_follow_time_and_not_frames(wall: WallSequence) -> None:
         tracker.track(first, np.eye(3))
         tracker.replenish()
         later = replace(second, t_ns=first.t_ns + elapsed_ns)
-        scales.append(float(np.median(tracker.track(later, np.eye(3)).scale)))
+        ids = tracker.track(later, np.eye(3)).ids
+        aligned = tracker.replenish()
+        scales.append(float(np.median(aligned.scale[np.isin(aligned.ids, ids)])))
     assert scales[0] < scales[1] - 0.01 < WALL_M / (WALL_M - 0.25)
 
 
@@ -305,8 +312,9 @@ def test_exposure_changes_are_compensated(wall: WallSequence, gain: float, offse
     assert np.median(error_px) < 0.15
 
 
-def test_replenishing_takes_the_remaining_iterations(wall: WallSequence) -> None:
-    """One iteration of the alignment keeps a track; those that remain lead to the result of all iterations at once."""
+@pytest.mark.parametrize("tracking_iterations", [0, 1])
+def test_replenishing_takes_the_remaining_iterations(wall: WallSequence, tracking_iterations: int) -> None:
+    """Few iterations of the alignment keep a track; those that remain lead to the result of all iterations at once."""
     R, p_m = exp_so3(np.radians([1.0, -2.0, 8.0])), np.array([0.05, 0.05, 0.12])
 
     def tracked_and_replenished(config: TrackerConfig) -> tuple[Observations, Observations]:
@@ -315,8 +323,8 @@ def test_replenishing_takes_the_remaining_iterations(wall: WallSequence) -> None
         tracker.replenish()
         return tracker.track(wall.frame(R, p_m), R.T), tracker.replenish()
 
-    tracked, refined = tracked_and_replenished(CONFIG)
-    at_once, _ = tracked_and_replenished(replace(CONFIG, patches=replace(CONFIG.patches, tracking_iterations=3)))
+    tracked, refined = tracked_and_replenished(with_iterations(tracking_iterations))
+    at_once, _ = tracked_and_replenished(with_iterations(CONFIG.patches.iterations))
     ids = np.intersect1d(np.intersect1d(tracked.ids, refined.ids), at_once.ids)
     begin, end, expected = (found.pixels[np.isin(found.ids, ids)] for found in (tracked, refined, at_once))
     distance_px = [np.median(np.linalg.norm(pixels - expected, axis=1)) for pixels in (begin, end)]
@@ -324,9 +332,13 @@ def test_replenishing_takes_the_remaining_iterations(wall: WallSequence) -> None
     np.testing.assert_allclose(refined.xy, CAMERA.normalize(refined.pixels), atol=1e-12)
 
 
-def test_errors_do_not_accumulate(wall: WallSequence) -> None:
-    """After 20 frames with rotation and approach, the tracks are still at the projections of their landmarks."""
-    tracker, R_previous = FeatureTracker(CAMERA, CONFIG), np.eye(3)
+@pytest.mark.parametrize("tracking_iterations", [0, 1])
+def test_errors_do_not_accumulate(wall: WallSequence, tracking_iterations: int) -> None:
+    """After 20 frames with rotation and approach, the tracks are still at the projections of their landmarks.
+
+    Where patches are not aligned between keyframes, they are at the next one.
+    """
+    tracker, R_previous = FeatureTracker(CAMERA, with_iterations(tracking_iterations)), np.eye(3)
     for k in range(21):
         R = exp_so3(np.radians([0.3 * k, -0.5 * k, 0.6 * k]))
         p_m = np.array([0.03, 0.01, 0.04]) * k
@@ -334,6 +346,9 @@ def test_errors_do_not_accumulate(wall: WallSequence) -> None:
         R_previous = R
         if k == 0:
             before = tracker.replenish()
+    if not tracking_iterations:
+        last = tracker.replenish()
+        last = last.without(last.ids[last.ages < 21])
     first_pixels = before.pixels[np.searchsorted(before.ids, last.ids)]
     error_px = np.linalg.norm(last.pixels - true_pixels(first_pixels, R, p_m), axis=1)
     assert len(last) > 15 and np.all(last.ages == 21)
