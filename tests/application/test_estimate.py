@@ -17,6 +17,7 @@ from dronevio.benchmark.jobs import scenario_flights
 from dronevio.cli import main
 from dronevio.cli.commands.estimate import EstimateCommand, check_places, numbered, result_files
 from dronevio.cli.options import OutputOptions
+from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimators.registry import ESTIMATORS, estimator_named
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
@@ -35,6 +36,8 @@ CommandRunner = Callable[..., Result]
 
 
 SLAM_PAGE = Path(__file__).parents[2] / "docs" / "slam.md"
+SHORT_WINDOW = "--set", "estimator.smoother.max-keyframes=5"
+"""Options for keyframes that leave the window early, so that some of a short flight join the map."""
 SIZE = 0.75
 """Width and height of the images relative to EuRoC's."""
 
@@ -58,6 +61,14 @@ def stereo(tmp_path_factory: pytest.TempPathFactory, run_command: CommandRunner)
     folder = place / "run"
     words = ("--scenario", "short", "--rig", place, "--out", folder, "--keep-recording", "--json")
     return run_command(folder, "run", *words)
+
+
+@pytest.fixture(scope="module")
+def odometry(stereo: Result, tmp_path_factory: pytest.TempPathFactory, run_command: CommandRunner) -> Path:
+    """Trajectory by the odometry whose keyframes leave the window early, for a map of several of them."""
+    place = tmp_path_factory.mktemp("odometry")
+    run_command(place, "estimate", stereo.folder / "recording", *SHORT_WINDOW, "--out", place / "estimate.tum")
+    return place / "estimate.tum"
 
 
 @pytest.fixture(scope="module")
@@ -108,27 +119,31 @@ def test_all_cameras_are_used_by_default(
 
 
 def test_map_leaves_the_odometry_as_it_is(
-    stereo: Result, run_command: CommandRunner, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    stereo: Result,
+    odometry: Path,
+    run_command: CommandRunner,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     out = tmp_path / "slam.tum"
-    shown = run_command(tmp_path, "estimate", stereo.folder / "recording", "--slam", "--out", out)
-    assert out.read_bytes() == (stereo.folder / "estimate.tum").read_bytes()
-    odometry = read_tum(out)
+    shown = run_command(tmp_path, "estimate", stereo.folder / "recording", "--slam", *SHORT_WINDOW, "--out", out)
+    assert out.read_bytes() == odometry.read_bytes()
+    expected = read_tum(odometry)
     for suffix in ("map", "map_final"):
         corrected = read_tum(tmp_path / f"slam_{suffix}.tum")
-        assert np.array_equal(corrected.t_ns, odometry.t_ns)
-        np.testing.assert_allclose(corrected.p_world_imu, odometry.p_world_imu, atol=1e-6)  # there is no loop
+        assert np.array_equal(corrected.t_ns, expected.t_ns)
+        np.testing.assert_allclose(corrected.p_world_imu, expected.p_world_imu, atol=1e-6)  # there is no loop
     assert "keyframes of the map" in shown.out and "slam_map_final.tum" in shown.out
     assert re.search(r"frames that waited for the map .*\d+ of \d+ corrections", shown.out)
     same, folder, cloud = tmp_path / "same.tum", tmp_path / "colmap", tmp_path / "points.ply"
     exports = "--save-colmap", folder, "--save-ply", cloud, "--save-g2o", tmp_path / "graph.g2o"
-    arguments = "--slam", "--map.no-worker", "--out", same, "--json", *exports
+    arguments = "--slam", *SHORT_WINDOW, "--map.no-worker", "--out", same, "--json", *exports
     document = run_command(tmp_path, "estimate", stereo.folder / "recording", *arguments).document
     assert document["map_cost"]["waits"] == document["map_cpu_ms_per_frame"] == 0
     assert document["map_cost"]["frames"] == document["frames"] and document["map_cost"]["results"] > 0
     for suffix in ("map", "map_final"):
-        expected = (tmp_path / f"slam_{suffix}.tum").read_bytes()
-        assert (tmp_path / f"same_{suffix}.tum").read_bytes() == expected
+        by_worker = (tmp_path / f"slam_{suffix}.tum").read_bytes()
+        assert (tmp_path / f"same_{suffix}.tum").read_bytes() == by_worker
     assert (document["colmap"], document["ply"]) == (str(folder), str(cloud))
     check_exports(folder, cloud, stereo.folder / "recording", tmp_path / "same_map_final.tum", document)
     again = ["estimate", str(stereo.folder / "recording"), *map(str, arguments), "--overwrite"]
@@ -168,7 +183,7 @@ def test_a_saved_map_is_continued(
     stereo: Result, run_command: CommandRunner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recording, saved, out = stereo.folder / "recording", tmp_path / "room.map", tmp_path / "second.tum"
-    words: tuple[object, ...] = "--slam", "--map.no-worker", "--json"
+    words: tuple[object, ...] = "--slam", *SHORT_WINDOW, "--map.no-worker", "--json"
     first = run_command(tmp_path, "estimate", recording, *words, "--save-map", saved, "--out", tmp_path / "first.tum")
     graph = tmp_path / "room.g2o"
     into_first = "--out", tmp_path / "first.tum", "--overwrite"
@@ -283,15 +298,16 @@ def test_dead_mapping_process_is_reported_as_a_defect(
     assert not out.exists()
 
 
-def test_function_estimates_with_a_map(stereo: Result) -> None:
-    run = dv.estimate(stereo.folder / "recording", slam=True)
-    odometry = read_tum(stereo.folder / "estimate.tum")
+def test_function_estimates_with_a_map(stereo: Result, odometry: Path) -> None:
+    config = dv.VioConfig(smoother=SmootherConfig(max_keyframes=5))  # `SHORT_WINDOW`
+    run = dv.estimate(stereo.folder / "recording", config, slam=True)
+    expected = read_tum(odometry)
     keyframes_ns = [estimate.t_ns for estimate in run.estimates if "keyframe" in estimate.events]
     assert run.map is not None and len(run.map.loops) == 0
     assert len(run.map.t_ns) >= 5  # the four keyframes of the initialization leave the window first, and have no images
     assert np.isin(run.map.t_ns, keyframes_ns).all() and np.all(np.diff(run.map.t_ns) > 0)
     for path in (run.trajectory, run.map_trajectory, run.final_trajectory):
-        np.testing.assert_allclose(path.p_world_imu, odometry.p_world_imu, atol=1e-6)
+        np.testing.assert_allclose(path.p_world_imu, expected.p_world_imu, atol=1e-6)
 
 
 @pytest.mark.skipif(not SLAM_PAGE.is_file(), reason="the documentation is not part of the wheel")
