@@ -402,7 +402,7 @@ def test_scenarios_state_the_file_without_its_folder(written: Writer) -> None:
 
 
 def test_builders_in_modules_are_worlds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "my_worlds.py").write_text(
+    (tmp_path / "dim_worlds.py").write_text(
         "from dataclasses import replace\n"
         "from dronevio.sim.worlds import room\n"
         "from dronevio.sim.worlds.layout import WorldBuilder\n"
@@ -410,14 +410,14 @@ def test_builders_in_modules_are_worlds(tmp_path: Path, monkeypatch: pytest.Monk
         "DIM = WorldBuilder('a dim room', layout)\nNONE = 3\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    name = "python:my_worlds:DIM"
+    name = "python:dim_worlds:DIM"
     assert illumination_and_movers(name, 0)[0] == 0.5
     assert world_builder(name).description == "a dim room"
     resolved = resolved_world(name)
     assert re.fullmatch(re.escape(name) + r"#[0-9a-f]{16}", resolved) and resolved_world(resolved) == resolved
-    assert "NONE in my_worlds is a int; expected a WorldBuilder" in message("python:my_worlds:NONE")
+    assert "NONE in dim_worlds is a int; expected a WorldBuilder" in message("python:dim_worlds:NONE")
     assert "cannot import no_such_module" in message("python:no_such_module:DIM")
-    assert "expected python:package.module:NAME" in message("python:my_worlds")
+    assert "expected python:package.module:NAME" in message("python:dim_worlds")
     assert "expected 0123456789abcdef" in message(f"{name}#0123456789abcdef")
 
 

@@ -34,7 +34,7 @@ MAX_LOCALIZED_VIEW_DEG = 35.0
 class LocalizationConfig(Settings):
     """Settings of the localization of keyframes in the map."""
 
-    patches: PatchConfig = field(default_factory=lambda: PatchConfig(iterations=6, min_zncc=0.85, warp_sigma=0.1))
+    patches: PatchConfig = field(default_factory=lambda: PatchConfig(min_zncc=0.85, warp_sigma=0.1))
     """Settings of the alignment of patches."""
     pose: RelativePoseConfig = field(
         default_factory=lambda: RelativePoseConfig(pixel_sigma=0.4, depth_sigma=0.015, scale_sigma=0.003)

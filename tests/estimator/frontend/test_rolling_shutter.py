@@ -242,11 +242,11 @@ def test_angular_velocity_is_the_mean_of_five_milliseconds_on_each_side(
 ) -> None:
     """Intervals of 4 ms: the nearest counts in full and the next one for 1 ms; the nearest rate is held elsewhere."""
     times, bias = ExposureCompensation(), np.array([0.5, 0.0, -0.5])
-    sides = [
+    increments = [
         Increments(np.full(len(side), 0.004), np.outer(side, [1.0, 0.0, 2.0]) + bias, np.zeros((len(side), 3)))
         for side in (before, after)
     ]
-    times.begin_frame(*sides, bias)
+    times.begin_frame(increments[0], increments[1], bias)
     np.testing.assert_allclose(times.angular_velocity_rad_s, [expected, 0.0, 2.0 * expected], atol=1e-12)
 
 
