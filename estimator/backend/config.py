@@ -27,7 +27,7 @@ class SmootherConfig(Settings):
     stereo_pixel_sigma: Annotated[float, Range(0.01, 100.0)] = 0.1
     """Standard deviation of an image observation of the best quality, with several cameras [px]. It is smaller, because
     `drift_rad` accounts for the errors that tracks have in common."""
-    drift_rad: Annotated[float, Range(0.0, 1.0)] = 2e-4
+    drift_rad: Annotated[float, Range(0.0, 1.0)] = 3e-4
     """Random walk of the window's orientation relative to what has left it, with several cameras [rad/√s]. With one
     camera, the variances of observations grow instead."""
     robust_sigmas: Annotated[float, Range(0.1, 1e3)] = 1.0

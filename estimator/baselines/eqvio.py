@@ -98,7 +98,7 @@ class EquivariantConfig(Settings):
     """Settings of GTSAM's filter."""
     tracker: TrackerConfig = field(
         default_factory=lambda: TrackerConfig(
-            corners=CornerConfig(cell_px=120), patches=PatchConfig(iterations=3, tracking_iterations=1)
+            corners=CornerConfig(cell_px=120), patches=PatchConfig(iterations=3, tracking_iterations=1, warp_sigma=0.05)
         )
     )
     """Settings of the feature tracker: patches aligned at every frame, because each updates the filter, and 24 grid

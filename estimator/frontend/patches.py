@@ -53,7 +53,7 @@ class PatchConfig(Settings):
     tracking_iterations: Annotated[int, Range(0, 50)] = 0
     """Number of them at every frame between keyframes. With none, patches are only compared with the image there, and
     errors of Lucas-Kanade accumulate up to the next keyframe. A filter that uses every frame needs one."""
-    warp_sigma: Annotated[float, Range(above=0.0, high=1e3)] = 0.05
+    warp_sigma: Annotated[float, Range(above=0.0, high=1e3)] = 0.08
     """Standard deviation of the change of each element of the affine warp within 50 ms, of a random walk."""
     blur_px: Annotated[float, Range(0.0, 10.0)] = 0.5
     """Standard deviation of the Gaussian blur applied before the comparison [px], which reduces interpolation errors
@@ -244,8 +244,10 @@ class PatchAligner:
         valid = (zncc > c.min_zncc - noise_loss) & (scale_squared > c.max_scale**-2) & (scale_squared < c.max_scale**2)
         return PatchAlignment(pixels, replace(patches, warp=warp), zncc, valid & np.isfinite(pixels).all(axis=1))
 
-    def resembles(self, image: Image, noise: float, patches: Patches, pixels: Array) -> npt.NDArray[np.bool_]:
-        """Return which patches (N,) resemble an image at pixels (N, 2), without an alignment.
+    def compare(
+        self, image: Image, noise: float, patches: Patches, pixels: Array
+    ) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """Return the ZNCC (N,) of patches with an image at pixels (N, 2), without an alignment, and which resemble it.
 
         Every second pixel in each direction is compared with the image, which is not blurred, at the predicted warps.
 
@@ -257,13 +259,14 @@ class PatchAligner:
         """
         templates, rows = patches.templates, patches.rows
         if not len(rows):  # cv2.remap refuses empty maps
-            return np.zeros(0, np.bool_)
+            return np.zeros(0), np.zeros(0, np.bool_)
         values, _ = _normalized(templates.values[rows][:, self._sparse])
         x, y = _warped(self._grid[:, self._sparse], pixels, patches.warp)
         samples = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         current, _ = _normalized(np.asarray(samples, np.float32))
+        zncc = np.sum(current * values, axis=1).astype(np.float64)
         noise_loss = (noise * self._config.side_px / templates.norm[rows]) ** 2
-        return np.asarray(np.sum(current * values, axis=1) > self._config.min_zncc - UNALIGNED_LOSS - noise_loss)
+        return zncc, zncc > self._config.min_zncc - UNALIGNED_LOSS - noise_loss
 
     def _sampled(
         self, image: ScaleSpace, pixels: Array, warp: Array | None = None, grid: Array32 | None = None

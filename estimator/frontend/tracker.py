@@ -213,7 +213,8 @@ class FeatureTracker:
         features = replace(features, patches=features.patches.rolled(R_cur_prev))
         found = self._found(previous, image, features, predicted, c.pyramid_levels)
         if not c.patches.tracking_iterations:
-            resembling = found[self._aligner.resembles(image, self._last_levels.noise, found.patches, found.pixels)]
+            zncc, is_similar = self._aligner.compare(image, self._last_levels.noise, found.patches, found.pixels)
+            resembling = replace(found, zncc=zncc)[is_similar]
             agreeing = self._inliers(resembling, R_cur_prev, rotation_sigma_rad)
             if len(resembling.ids) > enough and len(agreeing.ids) > MIN_AGREEING * len(resembling.ids):
                 return agreeing
