@@ -201,20 +201,21 @@ def measure(
         start = time.process_time()
         observed = front_end.track(frame, R_cur_prev)
         track_s.append(time.process_time() - start)
+        counts.append(len(observed))
+        if row % every == 0:
+            start = time.process_time()
+            observed = front_end.replenish()
+            replenish_s.append(time.process_time() - start)
         in_main = observed.camera == 0
-        ids = observed.ids[in_main]
+        known = in_main & (landmarks.first_frame[observed.ids] >= 0)
+        ids = observed.ids[known]
         last_age[ids] = row - landmarks.first_frame[ids]
         T_cam_world = inverse_pose(T_world_cam)
         expected = main.model.project(landmarks.points[ids] @ T_cam_world[:3, :3].T + T_cam_world[:3, 3])
         ages.append(last_age[ids])
-        errors.append(np.linalg.norm(observed.pixels[in_main] - expected, axis=1))
-        counts.append(len(observed))
+        errors.append(np.linalg.norm(observed.pixels[known] - expected, axis=1))
         if row % every:
             continue
-        start = time.process_time()
-        observed = front_end.replenish()
-        replenish_s.append(time.process_time() - start)
-        in_main = observed.camera == 0
         points = observed_points(main.model, depth_at(T_world_cam), observed.pixels[in_main])
         points = points @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
         ids = observed.ids[in_main]

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from gtsam_unstable import eqvio
 
 from dronevio.estimator.frontend.corners import CornerConfig
-from dronevio.estimator.frontend.patches import PatchConfig
+from dronevio.estimator.frontend.patches import EVERY_FRAME
 from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
@@ -97,9 +97,7 @@ class EquivariantConfig(Settings):
     filter: FilterSettings = field(default_factory=FilterSettings)
     """Settings of GTSAM's filter."""
     tracker: TrackerConfig = field(
-        default_factory=lambda: TrackerConfig(
-            corners=CornerConfig(cell_px=120), patches=PatchConfig(iterations=3, tracking_iterations=1, warp_sigma=0.05)
-        )
+        default_factory=lambda: TrackerConfig(corners=CornerConfig(cell_px=120), patches=EVERY_FRAME)
     )
     """Settings of the feature tracker: patches aligned at every frame, because each updates the filter, and 24 grid
     cells at 752×480, because the cost of the filter grows with the cube of the number of landmarks."""

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.frontend.patches import EVERY_FRAME
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.frontend.tracker import TrackerConfig
 from dronevio.estimator.types import Calibration, Observations, common_rows
@@ -134,7 +135,7 @@ def tracked_rotations(frames: Iterable[CameraFrame], rig: Rig) -> RelativeRotati
         frames: Successive frames, with images of all cameras of the rig.
         rig: Calibration of the cameras; the IMU is not used.
     """
-    tracker, calibration = RigTracker(rig, TrackerConfig()), Calibration(rig)
+    tracker, calibration = RigTracker(rig, TrackerConfig(patches=EVERY_FRAME)), Calibration(rig)
     t_ns: list[int] = []
     seen: list[Observations] = []
     for frame in frames:

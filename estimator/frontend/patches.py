@@ -52,7 +52,7 @@ class PatchConfig(Settings):
     """Number of Gauss-Newton iterations per keyframe."""
     tracking_iterations: Annotated[int, Range(0, 50)] = 0
     """Number of them at every frame between keyframes. With none, patches are only compared with the image there, and
-    errors of Lucas-Kanade accumulate up to the next keyframe. A filter that uses every frame needs one."""
+    errors of Lucas-Kanade accumulate up to the next keyframe."""
     warp_sigma: Annotated[float, Range(above=0.0, high=1e3)] = 0.08
     """Standard deviation of the change of each element of the affine warp within 50 ms, of a random walk."""
     blur_px: Annotated[float, Range(0.0, 10.0)] = 0.5
@@ -66,6 +66,10 @@ class PatchConfig(Settings):
     noise; a partly occluded patch has less."""
     max_scale: Annotated[float, Range(1.0, 10.0)] = 2.5
     """Largest scale of the warp, and the reciprocal of the smallest, of a successful alignment."""
+
+
+EVERY_FRAME = PatchConfig(iterations=3, tracking_iterations=1, warp_sigma=0.05)
+"""Settings where the features of every frame are used, not of keyframes alone."""
 
 
 @dataclass(frozen=True, eq=False)
