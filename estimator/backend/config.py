@@ -19,7 +19,7 @@ class SmootherConfig(Settings):
     """Largest number of landmarks that persist as variables of the marginal prior."""
     iterations: Annotated[int, Range(1, 20)] = 2
     """Largest number of Gauss-Newton steps per keyframe."""
-    max_decrement: Annotated[float, Range(low=0.0)] = 100.0
+    max_decrement: Annotated[float, Range(low=0.0)] = 20.0
     """Squared length of a step in standard deviations (Newton decrement) below which it is the last one: the next step
     would be shorter than one standard deviation."""
     pixel_sigma: Annotated[float, Range(0.01, 100.0)] = 0.145

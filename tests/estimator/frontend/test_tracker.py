@@ -120,6 +120,19 @@ def test_tracking_recovers_from_a_wrong_prediction(wall: WallSequence, predicted
     assert np.median(error_px) < 0.15 and np.mean(error_px < 0.5) > 0.9
 
 
+@pytest.mark.parametrize(
+    ("rotation_deg", "approach_m", "median_px"), [([0.0, 0.0, 2.0], 0.05, 0.15), ([0.0, 0.0, 20.0], 0.3, 0.1)]
+)
+def test_patches_are_aligned_between_keyframes_where_lucas_kanade_errs(
+    wall: WallSequence, rotation_deg: list[float], approach_m: float, median_px: float
+) -> None:
+    """Within one frame: a slow motion, and a fast one, after which a quarter of the tracks would disagree."""
+    R, p_m = exp_so3(np.radians(rotation_deg)), np.array([0.0, 0.0, approach_m])
+    _, aligned, _ = track_once(wall, R, p_m, config=with_iterations(1))
+    _, after, error_px = track_once(wall, R, p_m)
+    assert np.median(error_px) < median_px and len(after) > 0.95 * len(aligned) > 20
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_images_of_another_place_share_no_features(wall: WallSequence, seed: int) -> None:
     """As after a gap: some patches are similar by chance, and any two of them agree with some translation."""
