@@ -2,14 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import gtsam
 import numpy as np
 import pytest
 
 from dronevio.estimator.calibration import significance
-from dronevio.estimator.calibration.adjustment import AdjustmentResult
+from dronevio.estimator.calibration.adjustment import AdjustmentResult, CalibrationProblem
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrected_state import propagated_state
 from dronevio.estimator.calibration.corrections import GYRO_SCALE, Corrections
@@ -21,6 +21,8 @@ from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyfra
 from dronevio.estimator.calibration.window_collector import CalibrationWindow
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
+from dronevio.estimator.optimization.gauss_newton import Step, gauss_newton_step
+from dronevio.estimator.optimization.linalg import CholeskyFactor
 from dronevio.estimator.types import NO_MATCHES, Calibration, Matches, Observations
 from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2
@@ -106,9 +108,15 @@ def test_a_rotation_common_to_both_cameras_is_not_seen_at_rest() -> None:
     assert not calibration.applied.rotation_rad.any()
 
 
-@pytest.mark.parametrize(("position_sigma_m", "is_significant"), [(0.0, True), (0.0005, False)])
-def test_another_baseline_is_no_rotation_of_both_cameras(position_sigma_m: float, is_significant: bool) -> None:
-    """One camera is half a millimetre behind its given position, so that the baseline has another direction."""
+def other_baseline(
+    position_sigma_m: float = 0.0, max_decrement: float = 0.01
+) -> tuple[CalibrationProblem, ParameterTable]:
+    """Return the adjustment of a keyframe whose second camera is half a millimetre behind its given position.
+
+    Args:
+        position_sigma_m: Standard deviation of the positions of the cameras [m].
+        max_decrement: Decrement per unknown below which a step is the last one.
+    """
     rig, config = rig_named("euroc-stereo"), CalibrationConfig(position_sigma_m=position_sigma_m)
     off = {name: replace(getattr(config, name), online=False) for name in ("focal", "principal", "radial")}
     config = replace(config, **off)  # wrong intrinsics look like a rotation, too
@@ -118,10 +126,34 @@ def test_another_baseline_is_no_rotation_of_both_cameras(position_sigma_m: float
     ids, camera, xy = (np.concatenate([getattr(p, name) for p in parts]) for name in ("ids", "camera", "xy"))
     keyframe = WindowKeyframe(at_rest(), np.zeros(3), 0.0, GRAVITY_M_S2, None, ids, camera, xy)
     precise = replace(config.adjustment, min_views=2, min_parallax_deg=0.1, pixel_sigma=0.025, iterations=10)
+    precise = replace(precise, max_decrement=max_decrement)
     parameters = ParameterTable.of(config, 2)
     given = CalibrationPrior(Calibration(rig), GRAVITY_M_S2, parameters, config)
     window = CalibrationWindow((keyframe,), begins_stationary=False, is_complete=False)
-    problem = given.problem(window, ParameterEstimate.prior(parameters), precise)
+    return given.problem(window, ParameterEstimate.prior(parameters), precise), parameters
+
+
+@pytest.mark.parametrize(("relative", "is_done"), [(0.99, False), (1.01, True)])
+def test_an_adjustment_ends_by_the_decrement_per_unknown(
+    monkeypatch: pytest.MonkeyPatch, relative: float, is_done: bool
+) -> None:
+    taken: list[Step[Any, CholeskyFactor]] = []
+
+    def recorded(*inputs: Any) -> Step[Any, CholeskyFactor]:
+        taken.append(gauss_newton_step(*inputs))
+        return taken[-1]
+
+    monkeypatch.setattr("dronevio.estimator.calibration.adjustment.gauss_newton_step", recorded)
+    other_baseline()[0].step()
+    problem, _ = other_baseline(max_decrement=relative * taken[0].decrement / len(taken[0].delta))
+    problem.step()
+    assert problem.is_done == is_done == (problem.result is not None)
+
+
+@pytest.mark.parametrize(("position_sigma_m", "is_significant"), [(0.0, True), (0.0005, False)])
+def test_another_baseline_is_no_rotation_of_both_cameras(position_sigma_m: float, is_significant: bool) -> None:
+    """One camera is half a millimetre behind its given position, so that the baseline has another direction."""
+    problem, parameters = other_baseline(position_sigma_m)
     while not problem.is_done:
         problem.step()
     assert problem.result is not None and problem.landmark_count == 120

@@ -345,6 +345,17 @@ def test_replenishing_takes_the_remaining_iterations(wall: WallSequence, trackin
     np.testing.assert_allclose(refined.xy, CAMERA.normalize(refined.pixels), atol=1e-12)
 
 
+def test_the_correlation_shows_that_patches_are_not_aligned(wall: WallSequence) -> None:
+    """Health compares frames between keyframes with a prediction, and weights tracks by their correlation."""
+    tracker, p_m = FeatureTracker(CAMERA, CONFIG), np.array([0.0, 0.0, 0.1])
+    tracker.track(wall.frame(np.eye(3)), np.eye(3))
+    tracker.replenish()
+    between, aligned = tracker.track(wall.frame(np.eye(3), p_m), np.eye(3)), tracker.replenish()
+    aligned = aligned.without(np.setdiff1d(aligned.ids, between.ids))
+    assert len(aligned) > 15 and np.median(aligned.zncc) > np.median(between.zncc) > 0.85
+    assert np.median(between.zncc) < 1.0 - 2.0 * (1.0 - np.median(aligned.zncc))
+
+
 @pytest.mark.parametrize("tracking_iterations", [0, 1])
 def test_errors_do_not_accumulate(wall: WallSequence, tracking_iterations: int) -> None:
     """After 20 frames with rotation and approach, the tracks are still at the projections of their landmarks.
