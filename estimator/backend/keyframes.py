@@ -25,7 +25,7 @@ class KeyframeConfig(Settings):
     """Time between keyframes in motion, to the nearest frame [s]."""
     every_image: bool = True
     """Whether every image is tracked. Otherwise those between keyframes are left out while the image moves slowly,
-    which takes up to a sixth less time."""
+    which takes an eighth less time."""
     min_tracked: Annotated[float, Range(0.0, 1.0)] = 0.6
     """Smallest share of the last keyframe's features that is still tracked. With fewer, the frame becomes a keyframe
     before `interval_s`."""
