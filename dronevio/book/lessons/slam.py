@@ -501,7 +501,7 @@ for name, Z in (
 
 # %% [markdown]
 # Two images, half a minute apart, tell the pose of one in the frame of the
-# other to about a centimetre. By the odometry, it is wrong by 30 cm.
+# other to one or two centimetres. By the odometry, it is wrong by 26 cm.
 #
 # ## 4. The pose graph
 #
@@ -596,7 +596,7 @@ for column, poses, colour, name in (
 plt.show()
 
 # %% [markdown]
-# The optimization has moved the end by 30 cm, the middle of the lap by less,
+# The optimization has moved the end by 26 cm, the middle of the lap by less,
 # and the start not at all. It spreads the contradiction over all steps. This is
 # more than a jump at the end: a map that is attached to the keyframes moves
 # with them.
@@ -731,7 +731,7 @@ plt.show()
 #
 # <details markdown="1"><summary>Answer</summary>
 #
-# The ATE decreases from 6.8 cm to 6.5 cm: the four corners take most of the
+# The ATE decreases from 6.6 cm to 6.3 cm: the four corners take most of the
 # rotation, as they do in truth, and the straight wings stay straight. A part of
 # the rest is an error of scale: with a free scale, `dv.ate(truth, path,
 # "sim3")`, 6.0 cm remain. One loop says little about the scale of a lap that
@@ -745,24 +745,24 @@ plt.show()
 #
 # <details markdown="1"><summary>Answer</summary>
 #
-# There are twelve, and the ATE is 6.8 cm, as with one. All of them connect
+# There are twelve, and the ATE is 6.6 cm, as with one. All of them connect
 # the end of the lap with its start, which one loop has done already. The error
 # that remains is in the middle. A second lap would visit it again, and each
 # wing would be connected with itself.
 #
 # </details>
 #
-# **3. How many pairs?** In the loop, 21 of 50 matches are right. With which
+# **3. How many pairs?** In the loop, 19 of 53 matches are right. With which
 # probability does a pair of matches consist of two right ones? After how many
 # pairs has RANSAC drawn one with a probability of 99 %? How many would be
 # necessary with three matches for each pose? Check the answer with `PAIRS`.
 #
 # <details markdown="1"><summary>Answer</summary>
 #
-# The probability is $0.42^2 = 0.18$, so that
-# $n = \log 0.01 / \log(1 - 0.18) = 24$ pairs suffice. With three matches it is
-# $0.42^3 = 0.07$, and $n = 60$. That is what gravity saves, and the reason why
-# 300 pairs are ample here. With 30 pairs, 18 matches agree.
+# The probability is $0.36^2 = 0.13$, so that
+# $n = \log 0.01 / \log(1 - 0.13) = 34$ pairs suffice. With three matches it is
+# $0.36^3 = 0.05$, and $n = 98$. That is what gravity saves, and the reason why
+# 300 pairs are ample here. With 30 pairs, 14 matches agree.
 #
 # </details>
 #
