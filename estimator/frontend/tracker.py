@@ -113,7 +113,7 @@ class FeatureTracker:
         self._identities = count() if identities is None else identities
         self._config = config
         self._aligner = PatchAligner(config.patches)
-        self._iterations_between = max(config.patches.tracking_iterations, 1)  # keyframes, where patches are aligned
+        self._iterations_between = max(config.patches.tracking_iterations, 1)  # if they are aligned between keyframes
         self._rng = np.random.default_rng(config.seed)
         self._image: Image | None = None  # the last image
         self._image_ns = self._aligned_ns = 0  # its time, and that of the last image with which patches were aligned
@@ -162,7 +162,7 @@ class FeatureTracker:
     def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:
         """Add the best new corner of each grid cell without a feature, and return all features of the frame.
 
-        The features that are tracked are aligned more accurately.
+        The patches of the tracked features are aligned with the frame.
         """
         if self._image is not None and self._unseen is None:
             self._features = self._refined(self._features)
