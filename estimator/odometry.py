@@ -11,6 +11,7 @@ from dataclasses import replace
 from dronevio.estimator.backend.smoother import Keyframe
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.protocol import FrontEnd
+from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.preintegration import PreintegrationParams
 from dronevio.estimator.keyframe_observer import KeyframeObserver, odometry_keyframe
 from dronevio.estimator.monitoring.saturated_rotation import with_rotation_by_image
@@ -18,7 +19,7 @@ from dronevio.estimator.odometry_parts import OdometryParts
 from dronevio.estimator.odometry_state import NO_ESTIMATE, Initializing, OdometryState, Tracking
 from dronevio.estimator.threads import single_threaded
 from dronevio.estimator.transitions import initialize, lose, publish, with_offset
-from dronevio.estimator.types import FramePacket
+from dronevio.estimator.types import ExpectedFeatures, FramePacket
 from dronevio.models.imu import ImuSamples
 from dronevio.models.measurement_checks import check_imu, check_rig
 from dronevio.models.rig import Rig
@@ -120,7 +121,8 @@ class VisualInertialOdometry:
             phase.gyro_bias,
             moves=last.moves,
             contradicted=phase.is_contradicted,
-            since_keyframe_s=None if parts.config.keyframe.every_image else last.since_keyframe_s,
+            since_keyframe_s=last.since_keyframe_s,
+            expected=self._expected if isinstance(phase, Tracking) else None,
         )
         parts.calibrator.add_frame(packet)
         # Estimate
@@ -181,6 +183,13 @@ class VisualInertialOdometry:
         tracking, update_events = self._add_keyframe(tracking, packet, stationary, frame)
         events, smoother = ("keyframe", *events, *update_events), tracking.smoother
         return publish(parts, state, tracking, packet, smoother.state, assessment, events, smoother.landmarks)
+
+    def _expected(self, t_ns: int, increments: Increments) -> ExpectedFeatures:
+        """Return where features are expected at a time [ns], after IMU increments since the last frame."""
+        tracking = self._state.phase
+        assert isinstance(tracking, Tracking)
+        predicted = tracking.propagator.predicted(t_ns, increments)
+        return tracking.monitor.expected(predicted, self._parts.calibration)
 
     def _end_stationary(self, tracking: Tracking) -> tuple[Tracking, tuple[str, ...]]:
         """Make the last certainly stationary frame a keyframe, if there is one since the last keyframe."""

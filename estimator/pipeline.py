@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.backend.innovation import Innovation
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.frontend.protocol import FrontEnd
+from dronevio.estimator.frontend.protocol import FrontEnd, VerifyingFrontEnd
 from dronevio.estimator.frontend.repetition import RepetitionFilter
 from dronevio.estimator.frontend.rolling_shutter import ExposureCompensation
 from dronevio.estimator.image_selection import ImageSelection
@@ -22,10 +23,9 @@ from dronevio.estimator.imu.preintegration import PreintegrationParams
 from dronevio.estimator.initialization.gauge import BiasPrior
 from dronevio.estimator.initialization.zero_velocity import ZeroVelocityDetector
 from dronevio.estimator.monitoring.image_connection import ImageConnection
-from dronevio.estimator.monitoring.innovation import Innovation
 from dronevio.estimator.monitoring.stamp_error import StampCorrection
 from dronevio.estimator.propagator import propagated
-from dronevio.estimator.types import Calibration, FramePacket, Observations
+from dronevio.estimator.types import Calibration, ExpectedFeatures, FramePacket, Observations
 from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
@@ -33,8 +33,8 @@ from dronevio.models.rig import Rig
 from dronevio.models.state import NO_IMAGE, CameraFrame, Estimate, NavState
 
 MAX_DELAY_S = 0.001
-"""Longest time between an exposure and the time of its frame for images to be left out [s]: the flow between tracked
-images corrects for it, with an error that is proportional to the time between them."""
+"""Longest time between an exposure and the time of its frame for the image before a keyframe to be left out [s]: the
+flow between tracked images corrects for it, with an error that is proportional to the time between them."""
 CONTRADICTED_SIGMA_RAD = 0.02
 """Standard deviation of the rotation between frames by a gyroscope that the images contradict [rad]."""
 MAX_EXTRAPOLATION_S = 0.01
@@ -74,6 +74,7 @@ class MeasurementPipeline:
         moves: bool = False,
         contradicted: bool = False,
         since_keyframe_s: float | None = None,
+        expected: Callable[[int, Increments], ExpectedFeatures] | None = None,
     ) -> FramePacket:
         """Track the features into a frame and return its packet.
 
@@ -85,6 +86,8 @@ class MeasurementPipeline:
             contradicted: Whether the images contradict the gyroscope, so that it must not decide which features are
                 outliers.
             since_keyframe_s: Time from the newest keyframe to the last frame [s]; None if every image is needed.
+            expected: Returns where features are expected at a time [ns], after increments since the last frame; None
+                if every image is needed.
 
         Raises:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
@@ -108,8 +111,10 @@ class MeasurementPipeline:
         R_cur_prev = _camera_rotation(calibration, increments, gyro_bias.mean)
         rotation_sigma = float(gyro_bias.sigma * increments.dt_s.sum()) + increments.rotation_excess_sigma_rad
         frame = self._repetition.filtered(frame, R_cur_prev, rotation_sigma, moves=moves)
-        is_left_out = self._is_dispensable(increments, R_cur_prev, since_keyframe_s, calibration)
-        if is_left_out:
+        verified = None
+        if self._may_leave_out(increments, R_cur_prev, since_keyframe_s, calibration) and expected is not None:
+            verified = self._verified(frame, expected(t_ns, increments), R_cur_prev, calibration)
+        if verified is not None:
             frame = replace(frame, images=(NO_IMAGE,) * len(calibration.rig.cameras))
         tracking_sigma = max(rotation_sigma, CONTRADICTED_SIGMA_RAD) if contradicted else rotation_sigma
         tracked = self._front_end.track(frame, R_cur_prev, tracking_sigma, calibration.rig)
@@ -117,7 +122,7 @@ class MeasurementPipeline:
         has_image = len(tracked) > 0 or all(image.size for image in frame.images)
 
         # Observations at the time of the frame
-        observations = self._at_frame_time(tracked, calibration)
+        observations = self._at_frame_time(tracked, calibration) if verified is None else verified
         self._zero_velocity.update(t_ns, observations if has_image else None, increments)
         outliers, self._outliers = self._buffer.outliers - self._outliers, self._buffer.outliers
         if has_image:
@@ -128,20 +133,28 @@ class MeasurementPipeline:
             increments,
             observations,
             has_image,
-            is_left_out,
+            verified is not None,
             self._repetition.repeats,
             outliers,
             self._zero_velocity.stationary_s,
         )
 
-    def _is_dispensable(
+    def _may_leave_out(
         self, increments: Increments, R_cur_prev: Array, since_keyframe_s: float | None, calibration: Calibration
     ) -> bool:
-        """Return whether the images of a frame are left out; see `ImageSelection`."""
-        if since_keyframe_s is not None:
-            is_exact = self._exposure.longest_delay_s(calibration) <= MAX_DELAY_S and not self._stamps.is_irregular
-            since_keyframe_s = since_keyframe_s if is_exact and not increments.is_degraded else None
-        return self._selection.leaves_out(increments.duration_s, R_cur_prev, since_keyframe_s)
+        """Return whether the images of a frame may be left out; see `ImageSelection`."""
+        if self._stamps.is_irregular or increments.is_degraded:
+            since_keyframe_s = None
+        needs_flow = self._exposure.longest_delay_s(calibration) > MAX_DELAY_S
+        return self._selection.may_leave_out(increments.duration_s, R_cur_prev, since_keyframe_s, needs_flow=needs_flow)
+
+    def _verified(
+        self, frame: CameraFrame, expected: ExpectedFeatures, R_cur_prev: Array, calibration: Calibration
+    ) -> Observations | None:
+        """Return the features that a frame shows where they are expected; None if it has to be tracked."""
+        if not isinstance(self._front_end, VerifyingFrontEnd):
+            return None
+        return self._front_end.verified(frame, expected, R_cur_prev, calibration.rig)
 
     def compare_stamps(self, innovation: Callable[[], Innovation], predicted: NavState) -> None:
         """Compare irregular time stamps with the image of the newest frame; see `StampCorrection.compare`.

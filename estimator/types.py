@@ -86,6 +86,16 @@ NO_FEATURES = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0,
 
 
 @dataclass(frozen=True, eq=False)
+class ExpectedFeatures:
+    """Where a prediction expects N features in the images of the C cameras of a rig."""
+
+    ids: Integers
+    """(N,) Identities of the features, in increasing order."""
+    rays: Array
+    """(C, N, 3) Rays in each camera frame, by the given intrinsics."""
+
+
+@dataclass(frozen=True, eq=False)
 class FramePacket:
     """The features of a frame and the IMU measurements since the previous frame."""
 
@@ -98,7 +108,8 @@ class FramePacket:
     has_image: bool = True
     """Whether a camera that tracks features has an image; without one, the IMU alone propagates the estimate."""
     is_left_out: bool = False
-    """Whether the images are not tracked, since the image moves slowly and no keyframe is due."""
+    """Whether the images are not tracked, since no keyframe is due and they show the features where they are expected.
+    The observations are then these features, and no measurement."""
     repeats_image: bool = False
     """Whether an image was left out because it repeats the one before."""
     imu_outliers: int = 0
@@ -154,6 +165,21 @@ class Calibration:
     def camera_offsets_s(self) -> Array:
         """(C,) Time offset of each camera beside that of the rig [s]."""
         return np.array([camera.time_offset_s for camera in self.rig.cameras])
+
+    def rays(self, p_imu: Array) -> Array:
+        """Return the rays (C, N, 3) in the camera frames to points (N, 3) in the IMU frame [m].
+
+        They are by the given intrinsics, and NaN to points behind a camera.
+        """
+        Rs, t = self.Ts_imu_cam[:, :3, :3], self.Ts_imu_cam[:, None, :3, 3]
+        rays = (p_imu - t) @ Rs
+        rays[rays[..., 2] <= 0.0] = np.nan
+        if self.intrinsics is not None:
+            for camera, of_camera in enumerate(rays):
+                xy = of_camera[:, :2] / of_camera[:, 2:]
+                xy = self.given_xy(xy, np.full(len(xy), camera))
+                rays[camera] = np.column_stack([xy, np.ones(len(xy))])
+        return rays
 
     def corrected_xy(self, xy: Array, camera: Integers) -> Array:
         """Return normalized coordinates (N, 2) by the corrected intrinsics, from those by the given intrinsics."""

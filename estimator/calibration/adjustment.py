@@ -75,9 +75,10 @@ class CalibrationProblem:
 
     def step(self) -> None:
         """Take one Gauss-Newton step."""
-        before, self._steps = self._x, self._steps + 1
+        self._steps += 1
         try:
-            step = gauss_newton_step(self._objective, before, CholeskyFactor)
+            equations = self._objective.linearize(self._x)
+            step = gauss_newton_step(equations, CholeskyFactor)
         except (SingularError, np.linalg.LinAlgError):
             self._is_done = True
             return
@@ -87,7 +88,7 @@ class CalibrationProblem:
         if self._is_done:
             newest_and_common = np.arange(len(step.delta))[-len(self._objective.estimated) - BIAS_DIM - STATE_DIM :]
             covariance = step.factor.inverse_block(newest_and_common)
-            self._result = self._result_of(covariance, self._objective.rms_px(before))
+            self._result = self._result_of(covariance, equations.rms_px)
 
     def _result_of(self, covariance: Array, rms_px: float) -> AdjustmentResult:
         """Return the result.

@@ -82,6 +82,8 @@ class CalibrationEquations:
     """(E,) Indices of the estimated corrections."""
     landmarks: EliminatedLandmarks | None
     """The landmarks; None without any."""
+    rms_px: float
+    """Root mean square reprojection error, weighted by the robust loss [px]; infinite without landmarks."""
     scales: None = None
     """The scales of the robust loss do not depend on the variables."""
 
@@ -184,8 +186,8 @@ class CalibrationObjective:
         H, b = np.zeros((n + len(self.estimated), n + len(self.estimated))), np.zeros(n + len(self.estimated))
         self._add_priors(H, b, x, n)
         self._add_imu_factors(H, b, x, n)
-        landmarks = self._add_observations(H, b, x, n) if len(x.points) else None
-        return CalibrationEquations(H, b, x, self.estimated, landmarks)
+        landmarks, rms_px = self._add_observations(H, b, x, n) if len(x.points) else (None, np.inf)
+        return CalibrationEquations(H, b, x, self.estimated, landmarks, rms_px)
 
     def cost(self, x: CalibrationEstimate, scales: None = None) -> float:
         """Return the negative logarithm of the posterior density of some variables, up to a constant."""
@@ -199,15 +201,6 @@ class CalibrationObjective:
             + 0.5 * np.einsum("ni,nij,nj->", r, self.factors.information, r)
             + 0.5 * losses.sum()
         )
-
-    def rms_px(self, x: CalibrationEstimate) -> float:
-        """Return the root mean square reprojection error, weighted by the robust loss [px]; infinite without any."""
-        if not len(x.points):
-            return float("inf")
-        residual = project(x.state, self.observations, x.points).residual
-        weights = 1.0 / cauchy_inflation(self._squares(residual), 1.0)
-        error = np.linalg.norm(residual, axis=1)
-        return float(np.sqrt(np.average(error**2, weights=weights))) * self.focal_px
 
     @cached_property
     def _information(self) -> Array:
@@ -257,8 +250,10 @@ class CalibrationObjective:
         H[np.ix_(common, common)] += H_factors[:, states:, states:].sum(axis=0)
         b[common] -= b_factors[:, states:].sum(axis=0)
 
-    def _add_observations(self, H: Array, b: Array, x: CalibrationEstimate, n: int) -> EliminatedLandmarks:
-        """Add the observations, with the landmarks eliminated."""
+    def _add_observations(
+        self, H: Array, b: Array, x: CalibrationEstimate, n: int
+    ) -> tuple[EliminatedLandmarks, float]:
+        """Add the observations with the landmarks eliminated, and return these and the reprojection error [px]."""
         observations, L, E, K = self.observations, len(x.points), len(self.estimated), len(x.state.R_world_imu)
         # Jacobians and residuals in standard deviations of the robust loss
         projection = project(x.state, observations, x.points)
@@ -305,7 +300,8 @@ class CalibrationObjective:
             b[pose] += b_p[k]
         H[n:, n:] += of_corrections[:, :-1]
         b[n:] += of_corrections[:, -1]
-        return EliminatedLandmarks(columns, L_l, half.reshape(L, 3, -1))
+        rms = float(np.sqrt((robust * (projection.residual**2).sum(axis=1)).sum() / robust.sum()))
+        return EliminatedLandmarks(columns, L_l, half.reshape(L, 3, -1)), rms * self.focal_px
 
 
 def _first_information(config: AdjustmentConfig, first: NavState, *, is_stationary: bool) -> Array:

@@ -35,6 +35,8 @@ RESIDUAL_SIGMA = 3.0
 NOISE_THRESHOLD = 6.0
 """Standard deviation of the image noise above which `NOISY_BLUR_PX` replaces `PatchConfig.blur_px` [grey levels]."""
 NOISY_BLUR_PX = 1.0  # standard deviation of the Gaussian blur applied to noisy images
+ROUND, SETTLED_PX = 3, 0.01
+"""Number of iterations after which patches leave the alignment whose last displacement was smaller [px]: two thirds."""
 UNALIGNED_LOSS = 0.05
 """Allowance for the ZNCC of a patch that is compared with an image and not aligned with it; 0.1 % of the patches that
 can be aligned lose more."""
@@ -221,32 +223,57 @@ class PatchAligner:
             iterations: Number of Gauss-Newton iterations, 1 or more; that of a keyframe by default.
             elapsed_s: Time since the image of the predicted warps [s].
         """
-        # Hessian with the prior on the change of the warp
-        c, warp = self._config, patches.warp
-        templates, rows = patches.templates, patches.rows
-        values, norm = templates.values[rows], templates.norm[rows]
-        prior_weight = templates.prior_weight[rows] * np.float32(WALK_S / elapsed_s)
-        H = templates.hessian[rows]
-        H[:, WARP, WARP] += prior_weight[:, None]
-        # Inverse compositional Gauss-Newton
-        difference = np.zeros_like(templates.values)  # of all templates, whose largest array is not copied then
-        for iteration in range(c.iterations if iterations is None else iterations):
-            current, _ = _normalized(self._sampled(image, pixels, warp))
-            difference[rows] = current - values
-            gradient = (templates.steepest_descent @ difference[:, :, None])[rows, :, 0]
-            if iteration:  # the warp differs from the predicted one
-                change = _inverse(patches.warp) @ warp - np.eye(2)
-                gradient[:, 2:] += prior_weight[:, None] * change.reshape(-1, 4)
-            step = np.linalg.solve(H, gradient[..., None])[..., 0].astype(np.float64)
-            warp_step = np.clip(step[:, 2:], -MAX_WARP_STEP, MAX_WARP_STEP).reshape(-1, 2, 2)
-            warp = warp @ _inverse(np.eye(2) + warp_step)
-            pixels = pixels - np.einsum("nij,nj->ni", warp, step[:, :2])
+        c, norm = self._config, patches.templates.norm[patches.rows]
+        remaining, rows = c.iterations if iterations is None else iterations, np.arange(len(patches))
+        pixels, warp, zncc = pixels.copy(), patches.warp.copy(), np.zeros(len(patches))
+        # Inverse compositional Gauss-Newton; most patches settle in the first round
+        while remaining and len(rows):
+            count, moving = min(remaining, ROUND), patches[rows]
+            pixels[rows], warp[rows], zncc[rows], step_px = self._stepped(
+                image, moving, pixels[rows], warp[rows], count, elapsed_s
+            )
+            remaining, rows = remaining - count, rows[step_px > SETTLED_PX]
         # Correlation and scale decide whether the alignment has succeeded
-        zncc = np.sum(current * values, axis=1).astype(np.float64)
         scale_squared = _determinant(warp)
         noise_loss = (BLURRED_NOISE_RATIO * image.noise * c.side_px / norm) ** 2  # of correlation
         valid = (zncc > c.min_zncc - noise_loss) & (scale_squared > c.max_scale**-2) & (scale_squared < c.max_scale**2)
         return PatchAlignment(pixels, replace(patches, warp=warp), zncc, valid & np.isfinite(pixels).all(axis=1))
+
+    def _stepped(
+        self, image: ScaleSpace, patches: Patches, pixels: Array, warp: Array, iterations: int, elapsed_s: float
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return the pixels (N, 2), warps (N, 2, 2), ZNCC (N,) and last displacements (N,) [px] after iterations.
+
+        Args:
+            image: The image to align with.
+            patches: N patches with the predicted warps, to which the prior holds them.
+            pixels: (N, 2) Positions before [px].
+            warp: (N, 2, 2) Warps before.
+            iterations: Number of Gauss-Newton iterations, 1 or more.
+            elapsed_s: Time since the image of the predicted warps [s].
+        """
+        # Templates, and the Hessian with the prior on the change of the warp
+        templates, rows = patches.templates, patches.rows
+        values, prior_weight = templates.values[rows], templates.prior_weight[rows] * np.float32(WALK_S / elapsed_s)
+        H = templates.hessian[rows]
+        H[:, WARP, WARP] += prior_weight[:, None]
+        H_inverse, predicted_inverse = np.linalg.inv(H), _inverse(patches.warp)
+        # The steepest-descent images are large: if most are needed, all are multiplied, and none is copied
+        is_copied = 2 * len(rows) < len(templates.values)
+        steepest_descent = templates.steepest_descent[rows] if is_copied else templates.steepest_descent
+        used = np.arange(len(rows)) if is_copied else rows
+        difference = np.zeros((len(steepest_descent), values.shape[1]), np.float32)
+        for _ in range(iterations):
+            current, _ = _normalized(self._sampled(image, pixels, warp))
+            difference[used] = current - values
+            gradient = (steepest_descent @ difference[:, :, None])[used, :, 0]
+            gradient[:, 2:] += prior_weight[:, None] * (predicted_inverse @ warp - np.eye(2)).reshape(-1, 4)
+            step = (H_inverse @ gradient[..., None])[..., 0].astype(np.float64)
+            warp_step = np.clip(step[:, 2:], -MAX_WARP_STEP, MAX_WARP_STEP).reshape(-1, 2, 2)
+            warp = warp @ _inverse(np.eye(2) + warp_step)
+            displacement = np.einsum("nij,nj->ni", warp, step[:, :2])
+            pixels = pixels - displacement
+        return pixels, warp, np.sum(current * values, axis=1), np.hypot(*displacement.T)
 
     def compare(
         self, image: Image, noise: float, patches: Patches, pixels: Array

@@ -1,12 +1,12 @@
 """The interface of a visual front end: from images to observations of features."""
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.types import Observations
+from dronevio.estimator.types import ExpectedFeatures, Observations
 from dronevio.models.arrays import Array, Image, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
@@ -51,6 +51,28 @@ class FrontEnd(Protocol):
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
         """Stop tracking the given features (N,)."""
+
+
+@runtime_checkable
+class VerifyingFrontEnd(FrontEnd, Protocol):
+    """A front end that can compare an image with what is expected of it, instead of tracking features into it."""
+
+    def verified(
+        self, frame: CameraFrame, expected: ExpectedFeatures, R_cur_prev: Array, rig: Rig | None = None
+    ) -> Observations | None:
+        """Return the features that a frame shows where they are expected, if these are most of all.
+
+        The features are not moved there: a frame that is not tracked afterwards counts as one without images.
+
+        Args:
+            frame: The frame after the last one.
+            expected: Where the features are expected.
+            R_cur_prev: (3, 3) Rotation of the first camera from the last frame to this one, by the gyroscope.
+            rig: The calibration in use; by default the last one.
+
+        Returns:
+            The features at the expected positions; None where the frame has to be tracked.
+        """
 
 
 def image_of(frame: CameraFrame, index: int, camera: CameraModel) -> Image | None:

@@ -15,13 +15,16 @@ from dronevio.estimator.frontend.defective_pixels import DefectivePixels
 from dronevio.estimator.frontend.protocol import AtExposure, image_of
 from dronevio.estimator.frontend.stereo import StereoConfig, StereoMatcher, shared_view
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
-from dronevio.estimator.types import NO_MATCHES, Matches, Observations
+from dronevio.estimator.types import NO_MATCHES, ExpectedFeatures, Matches, Observations
 from dronevio.models.arrays import Array, Image, Integers
 from dronevio.models.measurement_checks import check_image_count, check_rig
 from dronevio.models.rig import Rig
 from dronevio.models.state import NO_IMAGE, CameraFrame
 
 MAX_SHARED_VIEW = 0.5  # a camera that shares more of its image with earlier ones has no tracker of its own
+MIN_VERIFIED, VERIFIED_SHARE = 20, 0.8
+"""Smallest number of expected features by which an image is verified, and share of them that it must show: images that
+agree with the prediction show 95 %, after a jump of the camera by 14 cm 30 %."""
 MIN_SHARED_VIEW = 0.1  # cameras that share less of their images are not matched
 
 
@@ -122,6 +125,30 @@ class RigTracker:
                 for tracker, R_cam_first in zip(self._trackers, extrinsics.Rs_cam_first, strict=True)
             ]
         )
+
+    def verified(
+        self, frame: CameraFrame, expected: ExpectedFeatures, R_cur_prev: Array, rig: Rig | None = None
+    ) -> Observations | None:
+        """Return the features that a frame shows where they are expected, if these are most of all.
+
+        Args:
+            frame: The frame after the last one.
+            expected: Where the features are expected.
+            R_cur_prev: (3, 3) Rotation of the first camera from the last frame to this one.
+            rig: The calibration in use; by default the last one.
+
+        Raises:
+            ConfigError: As `track`.
+        """
+        extrinsics = self._use(rig)
+        check_image_count(frame, extrinsics.rig)
+        by_camera = [
+            tracker.verified(frame, expected, R_cam_first @ R_cur_prev @ R_cam_first.T)
+            for tracker, R_cam_first in zip(self._trackers, extrinsics.Rs_cam_first, strict=True)
+        ]
+        known = sum(count for _, count in by_camera)
+        seen = _merged([observations for observations, _ in by_camera])
+        return seen if known >= MIN_VERIFIED and len(seen) >= VERIFIED_SHARE * known else None
 
     def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:
         """Detect new features in the last frame, and match all features in the cameras that share the view.

@@ -19,7 +19,7 @@ from dronevio.estimator.frontend.corners import CornerConfig, detect_corners
 from dronevio.estimator.frontend.patches import WALK_S, PatchAligner, PatchConfig, Patches, ScaleSpace
 from dronevio.estimator.frontend.protocol import AtExposure, image_of, is_inside
 from dronevio.estimator.frontend.ransac import MIN_MATCHES, epipolar_inliers, essential_inliers
-from dronevio.estimator.types import Observations
+from dronevio.estimator.types import ExpectedFeatures, Observations, common_rows
 from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.ranges import Range, Settings
@@ -159,6 +159,29 @@ class FeatureTracker:
             self._features = agreeing[:0] if is_chance else agreeing
         return self._observations()
 
+    def verified(self, frame: CameraFrame, expected: ExpectedFeatures, R_cur_prev: Array) -> tuple[Observations, int]:
+        """Return the features that a frame shows where they are expected, and the number of those that are expected.
+
+        Args:
+            frame: The frame after the last one. Without an image of this camera, it shows none.
+            expected: Where the features are expected.
+            R_cur_prev: (3, 3) Rotation of this camera from the last frame to this one.
+
+        Raises:
+            ConfigError: As `track`.
+        """
+        image = image_of(frame, self._index, self._camera)
+        columns, rows = common_rows(expected.ids, self._features.ids)
+        pixels = self._camera.project(expected.rays[self._index, columns])
+        is_shown = is_inside(pixels, self._camera, self._config.border_px) & (image is not None)
+        shown = replace(self._features[rows], pixels=pixels)[is_shown]
+        if image is not None:
+            R = R_cur_prev if self._unseen is None else R_cur_prev @ self._unseen[0]
+            patches = shown.patches.rolled(R)
+            zncc, is_similar = self._aligner.compare(image, self._last_levels.noise, patches, shown.pixels)
+            shown = replace(shown, zncc=zncc)[is_similar]
+        return self._observed(replace(shown, xy=self._camera.normalize(shown.pixels))), len(rows)
+
     def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:
         """Add the best new corner of each grid cell without a feature, and return all features of the frame.
 
@@ -177,7 +200,10 @@ class FeatureTracker:
         self._features = self._features[~np.isin(self._features.ids, ids)]
 
     def _observations(self) -> Observations:
-        f = self._features if self._unseen is None else self._features[:0]
+        return self._observed(self._features if self._unseen is None else self._features[:0])
+
+    def _observed(self, f: _Features) -> Observations:
+        """Return features as observations of this camera."""
         camera = np.full(len(f.ids), self._index)
         return Observations(f.ids, f.pixels, f.xy, f.ages, camera, zncc=f.zncc, scale=f.patches.scale)
 

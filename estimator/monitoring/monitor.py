@@ -4,15 +4,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dronevio.estimator.backend.innovation import Innovation
 from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
 from dronevio.estimator.monitoring.causes import Cause, Reason
 from dronevio.estimator.monitoring.config import HealthConfig
 from dronevio.estimator.monitoring.consistency import ConsistencyMonitor
 from dronevio.estimator.monitoring.health import Assessment
-from dronevio.estimator.monitoring.innovation import Innovation
 from dronevio.estimator.monitoring.reference import Reference
 from dronevio.estimator.optimization.linear_fit import median
-from dronevio.estimator.types import Calibration, CalibrationSigmas, Observations
+from dronevio.estimator.types import Calibration, CalibrationSigmas, ExpectedFeatures, Observations
 from dronevio.models.imu import ImuModel
 from dronevio.models.state import HealthQuantities, NavState
 
@@ -212,6 +212,11 @@ class HealthMonitor:
     def innovation(self, observations: Observations, predicted: NavState, calibration: Calibration) -> Innovation:
         """Return the innovation of a frame by the newest keyframe's landmarks; see `Reference.innovation`."""
         return self._required_reference.innovation(observations, predicted, calibration)
+
+    def expected(self, predicted: NavState, calibration: Calibration) -> ExpectedFeatures:
+        """Return where a predicted state expects the newest keyframe's landmarks in the images."""
+        landmarks, T = self._required_reference.landmarks, predicted.T_world_imu
+        return ExpectedFeatures(landmarks.ids, calibration.rays((landmarks.points - T[:3, 3]) @ T[:3, :3]))
 
     @property
     def _required_reference(self) -> Reference:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
-from dronevio.estimator.optimization.objective import Objective, S, X
+from dronevio.estimator.optimization.objective import Linearized, Objective, S, X
 from dronevio.models.arrays import Array
 
 
@@ -32,18 +32,16 @@ class Step(Generic[X, F]):
     """Factorization of the information matrix before the step."""
 
 
-def gauss_newton_step(objective: Objective[X, S], x: X, factorize: Callable[[Array], F]) -> Step[X, F]:
+def gauss_newton_step(equations: Linearized[X, S], factorize: Callable[[Array], F]) -> Step[X, F]:
     """Return one Gauss-Newton step.
 
     Args:
-        objective: What is minimized.
-        x: Variables before the step.
+        equations: The normal equations at the variables before the step.
         factorize: Factorizes the information matrix.
 
     Raises:
         SingularError: The information matrix is singular, by the factorization.
     """
-    equations = objective.linearize(x)
     factor = factorize(equations.H)
     delta = factor.solve(equations.b)
     return Step(equations.retract(delta), delta, float(equations.b @ delta), factor)
@@ -68,9 +66,9 @@ def gauss_newton(
     Raises:
         SingularError: An information matrix is singular, by the factorization.
     """
-    step = gauss_newton_step(objective, x, factorize)
+    step = gauss_newton_step(objective.linearize(x), factorize)
     for _ in range(iterations - 1):
         if is_last(step):
             break
-        step = gauss_newton_step(objective, step.x, factorize)
+        step = gauss_newton_step(objective.linearize(step.x), factorize)
     return step

@@ -19,7 +19,7 @@ from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.keyframe_observer import KeyframeObserver
 from dronevio.estimator.odometry import VisualInertialOdometry
-from dronevio.estimator.types import Calibration, Observations
+from dronevio.estimator.types import Calibration, ExpectedFeatures, Observations, common_rows
 from dronevio.models.arrays import Array, Integers
 from dronevio.models.camera import CameraModel
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Sampling
@@ -188,13 +188,42 @@ class SyntheticFrontEnd:
     @property
     def landmark_rows(self) -> Integers:
         """(N,) Rows of the observed landmarks, in the order of the observations."""
-        rows = np.flatnonzero((self._ids >= 0) & self._has_image)
+        return self._known_rows if self._has_image else self._known_rows[:0]
+
+    @property
+    def _known_rows(self) -> Integers:
+        """(N,) Rows of the landmarks that have been observed and not lost, in the order of their identities."""
+        rows = np.flatnonzero(self._ids >= 0)
         return np.asarray(rows[np.argsort(self._ids[rows])])
 
     def _observations(self) -> Observations:
         rows = self.landmark_rows
         pixels = self._pixels[rows]
         return Observations(self._ids[rows], pixels, self._model.normalize(pixels), self._ages[rows])
+
+
+class VerifyingFrontEnd(SyntheticFrontEnd):
+    """A synthetic front end that verifies images: a landmark is found where it is expected within two pixels."""
+
+    def __init__(self, flight: "SyntheticFlight") -> None:
+        super().__init__(flight)
+        self.verified_ns: list[int] = []
+        """Times of the frames that are verified [ns]."""
+
+    def verified(
+        self, frame: CameraFrame, expected: ExpectedFeatures, R_cur_prev: Array, rig: Rig | None = None
+    ) -> Observations | None:
+        """Return the landmarks that are observed where they are expected, if these are most of all."""
+        rows = self._known_rows
+        columns, known = common_rows(expected.ids, self._ids[rows])
+        p = self._at_exposure(frame.t_ns + round(self._flight.rig.time_offset_s * 1e9))[rows[known]]
+        pixels = self._model.project(expected.rays[0, columns])
+        is_found = np.linalg.norm(pixels - self._model.project(p), axis=1) < 2.0
+        if len(known) < 20 or is_found.mean() < 0.8:
+            return None
+        self.verified_ns.append(frame.t_ns)
+        found, pixels = rows[known][is_found], pixels[is_found]
+        return Observations(self._ids[found], pixels, self._model.normalize(pixels), self._ages[found])
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,8 +2,8 @@
 
 import re
 from collections.abc import Callable
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,12 +22,10 @@ from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import Estimator, measurements
 from dronevio.models.rotation import exp_so3
 from dronevio.models.state import Estimate, Health, Trajectory
+from tests.estimator.conftest import SyntheticFlight, VerifyingFrontEnd
 
-if TYPE_CHECKING:
-    from tests.estimator.conftest import SyntheticFlight
-
-MakeFlight = Callable[..., "SyntheticFlight"]
-EstimatedFlight = Callable[[int, float], "tuple[SyntheticFlight, list[Estimate]]"]
+MakeFlight = Callable[..., SyntheticFlight]
+EstimatedFlight = Callable[[int, float], tuple[SyntheticFlight, list[Estimate]]]
 
 STATIONARY, IN_MOTION = 1.5, -5.0
 """Time at which the motion begins, for a static and a dynamic initialization [s]."""
@@ -57,7 +55,7 @@ def covariances(trajectory: Trajectory) -> Array:
     return trajectory.covariance
 
 
-def ate_m(flight: "SyntheticFlight", estimated: Trajectory) -> float:
+def ate_m(flight: SyntheticFlight, estimated: Trajectory) -> float:
     """Return the absolute trajectory error, aligned in position and yaw [m]."""
     truth = flight.truth_at(estimated.t_ns)
     fit = align(truth.p_world_imu, estimated.p_world_imu, "yaw")
@@ -390,38 +388,78 @@ def test_frames_without_an_image_cost_little(make_flight: MakeFlight, rest_s: fl
 
 
 CALM = {"position_rates": np.full((3, 2), 0.4), "angle_rates": np.full((3, 2), 0.4)}
-SPARSE = VioConfig(keyframe=KeyframeConfig(every_image=False))
 
 
-def left_out(estimates: list[Estimate]) -> list[int]:
-    """Return the indices of the frames with a state whose images were not tracked."""
-    return [
-        k for k, e in enumerate(estimates) if e.state is not None and e.tracks is not None and not len(e.tracks.ids)
-    ]
+@dataclass(frozen=True, eq=False)
+class JumpingFlight(SyntheticFlight):
+    """A flight whose landmarks jump aside at a time."""
+
+    jump_ns: int = 0
+    """The time [ns]."""
+
+    def landmarks_at(self, t_ns: int) -> Array:
+        return super().landmarks_at(t_ns) + [0.0, 0.2 * (t_ns >= self.jump_ns), 0.0]
 
 
-def test_images_that_are_left_out_in_calm_flight_cost_nothing(make_flight: MakeFlight) -> None:
-    """Between keyframes, no image is needed; the report is that of the last one that was tracked."""
+def verified_frames(flight: SyntheticFlight, front_end: VerifyingFrontEnd) -> list[int]:
+    """Return the indices of the frames of a flight that were verified instead of tracked."""
+    return np.searchsorted(flight.frame_times_ns, front_end.verified_ns).tolist()
+
+
+def test_images_that_show_what_is_expected_are_left_out_at_no_cost(make_flight: MakeFlight) -> None:
+    """The report is that of the last one that was tracked; the tracks are where they are expected."""
     flight = make_flight(1, rest_s=STATIONARY, duration_s=8.0, motion=CALM)
-    every, sparse = flight.run(), flight.run(config=SPARSE)
-    missing = left_out(sparse)
-    assert not left_out(every) and len(missing) > 60
+    every, front_end = flight.run(), VerifyingFrontEnd(flight)
+    sparse = flight.run(front_end)
+    missing = verified_frames(flight, front_end)
+    assert len(missing) > 60
     assert not any("keyframe" in sparse[k].events for k in missing)
     assert sum("keyframe" in e.events for e in sparse) == sum("keyframe" in e.events for e in every)
     for k in missing:
-        now, before = sparse[k].health_report, sparse[k - 1].health_report
+        now, before, tracks = sparse[k].health_report, sparse[k - 1].health_report, sparse[k].tracks
         assert now is not None and before is not None and sparse[k].health is Health.TRACKING
         assert (now.landmarks, now.innovation_nis) == (before.landmarks, before.innovation_nis)
         assert now.position_sigma_m != before.position_sigma_m
+        assert tracks is not None and len(tracks.ids) >= 20
     assert ate_m(flight, poses(sparse)) < 1.2 * ate_m(flight, poses(every))
 
 
-@pytest.mark.parametrize(("offset_s", "readout_s"), [(0.004, 0.0), (0.0, 0.02)])
-def test_images_with_long_delays_are_all_tracked(make_flight: MakeFlight, offset_s: float, readout_s: float) -> None:
-    """Their flow corrects for the delays; the longer it is ago, the larger is the error."""
+def test_every_image_is_tracked_if_it_is_a_setting(make_flight: MakeFlight) -> None:
     flight = make_flight(1, rest_s=STATIONARY, duration_s=5.0, motion=CALM)
+    front_end = VerifyingFrontEnd(flight)
+    flight.run(front_end, VioConfig(keyframe=KeyframeConfig(every_image=True)))
+    assert not front_end.verified_ns
+
+
+def test_images_that_show_something_else_are_tracked(make_flight: MakeFlight) -> None:
+    """From a frame between keyframes on, the landmarks are 20 cm farther to the side."""
+    flight = make_flight(1, rest_s=STATIONARY, duration_s=8.0, motion=CALM)
+    front_end = VerifyingFrontEnd(flight)
+    flight.run(front_end)
+    missing = verified_frames(flight, front_end)
+    first = next(k for k in missing if k > 120 and {k + 1, k + 2} <= set(missing))
+    jump_ns = int(flight.frame_times_ns[first + 1])
+    moving = JumpingFlight(**{f.name: getattr(flight, f.name) for f in fields(flight)}, jump_ns=jump_ns)
+    front_end = VerifyingFrontEnd(moving)
+    estimates = moving.run(front_end)
+    assert not {first + 1, first + 2} & set(verified_frames(moving, front_end))
+    assert "keyframe" in (*estimates[first + 1].events, *estimates[first + 2].events)
+
+
+@pytest.mark.parametrize(("offset_s", "readout_s"), [(0.004, 0.0), (0.0, 0.02)])
+def test_the_image_before_a_keyframe_is_tracked_if_delays_are_long(
+    make_flight: MakeFlight, offset_s: float, readout_s: float
+) -> None:
+    """Its flow corrects for the delays; the longer it is ago, the larger is the error."""
+    flight = make_flight(1, rest_s=STATIONARY, duration_s=8.0, motion=CALM)
     camera = replace(flight.rig.cameras[0], readout_s=readout_s, time_offset_s=offset_s)
-    assert not left_out(replace(flight, rig=replace(flight.rig, cameras=(camera,))).run(config=SPARSE))
+    late = replace(flight, rig=replace(flight.rig, cameras=(camera,)))
+    front_end = VerifyingFrontEnd(late)
+    estimates = late.run(front_end)
+    missing = set(verified_frames(late, front_end))
+    keyframes = [k for k, e in enumerate(estimates) if "keyframe" in e.events]
+    assert not missing & {k - 1 for k in keyframes}
+    assert len(missing) > 40
 
 
 @pytest.mark.parametrize("rest_s", [STATIONARY, IN_MOTION])

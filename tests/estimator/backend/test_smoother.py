@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.backend.config import SmootherConfig
-from dronevio.estimator.backend.linear_system import LinearSystem, WindowEstimate
+from dronevio.estimator.backend.linear_system import LinearSystem
 from dronevio.estimator.backend.marginal_prior import MarginalPrior
 from dronevio.estimator.backend.marginalization import PendingMarginalization
 from dronevio.estimator.backend.window_objective import WindowObjective
@@ -109,9 +109,9 @@ def test_a_second_step_follows_only_a_long_first_step(
     made = make_flight(0, rest_s=-5.0, duration_s=4.0, noisy=False, sampling="increment")
     step, calls = gauss_newton.gauss_newton_step, list[int]()
 
-    def counted(objective: WindowObjective, x: WindowEstimate, factorize: Callable[[Array], CholeskyFactor]) -> Any:
-        calls.append(max(x.states))
-        return step(objective, x, factorize)
+    def counted(equations: LinearSystem, factorize: Callable[[Array], CholeskyFactor]) -> Any:
+        calls.append(max(equations.x.states))
+        return step(equations, factorize)
 
     monkeypatch.setattr(gauss_newton, "gauss_newton_step", counted)
     feed(made, SmootherConfig(max_decrement=max_decrement)).finish()
