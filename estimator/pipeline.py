@@ -12,9 +12,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.backend.innovation import Innovation
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.frontend.protocol import FrontEnd, VerifyingFrontEnd
+from dronevio.estimator.frontend.protocol import FrontEnd, PredictingFrontEnd
 from dronevio.estimator.frontend.repetition import RepetitionFilter
 from dronevio.estimator.frontend.rolling_shutter import ExposureCompensation
 from dronevio.estimator.image_selection import ImageSelection
@@ -23,6 +22,7 @@ from dronevio.estimator.imu.preintegration import PreintegrationParams
 from dronevio.estimator.initialization.gauge import BiasPrior
 from dronevio.estimator.initialization.zero_velocity import ZeroVelocityDetector
 from dronevio.estimator.monitoring.image_connection import ImageConnection
+from dronevio.estimator.monitoring.innovation import Innovation
 from dronevio.estimator.monitoring.stamp_error import StampCorrection
 from dronevio.estimator.propagator import propagated
 from dronevio.estimator.types import Calibration, ExpectedFeatures, FramePacket, Observations
@@ -59,7 +59,8 @@ class MeasurementPipeline:
         self._zero_velocity = ZeroVelocityDetector(config.zero_velocity, config.gravity_m_s2)
         self._last_frame_ns: int | None = None
         self._outliers = 0  # of the IMU, up to the newest frame
-        self._connection = ImageConnection()
+        self._connection, self._is_left_out = ImageConnection(), False
+        self._predicting = front_end if isinstance(front_end, PredictingFrontEnd) else None
 
     def add_imu(self, samples: ImuSamples) -> ImuSamples:
         """Add the IMU samples since the last call, and return those that are used now; see `ImuBuffer.add`."""
@@ -111,29 +112,28 @@ class MeasurementPipeline:
         R_cur_prev = _camera_rotation(calibration, increments, gyro_bias.mean)
         rotation_sigma = float(gyro_bias.sigma * increments.dt_s.sum()) + increments.rotation_excess_sigma_rad
         frame = self._repetition.filtered(frame, R_cur_prev, rotation_sigma, moves=moves)
-        verified = None
-        if self._may_leave_out(increments, R_cur_prev, since_keyframe_s, calibration) and expected is not None:
-            verified = self._verified(frame, expected(t_ns, increments), R_cur_prev, calibration)
-        if verified is not None:
-            frame = replace(frame, images=(NO_IMAGE,) * len(calibration.rig.cameras))
         tracking_sigma = max(rotation_sigma, CONTRADICTED_SIGMA_RAD) if contradicted else rotation_sigma
-        tracked = self._front_end.track(frame, R_cur_prev, tracking_sigma, calibration.rig)
+        may_leave_out = self._may_leave_out(increments, R_cur_prev, since_keyframe_s, calibration)
+        features = None
+        if expected is not None and (may_leave_out or self._is_left_out):
+            features = expected(t_ns, increments)
+        found = self._found(frame, features, R_cur_prev, tracking_sigma, calibration, may_leave_out=may_leave_out)
         # Cameras that have no tracker of their own observe no features in a frame that the others lack.
-        has_image = len(tracked) > 0 or all(image.size for image in frame.images)
+        has_image = not self._is_left_out and (len(found) > 0 or all(image.size for image in frame.images))
 
         # Observations at the time of the frame
-        observations = self._at_frame_time(tracked, calibration) if verified is None else verified
+        observations = found if self._is_left_out else self._at_frame_time(found, calibration)
         self._zero_velocity.update(t_ns, observations if has_image else None, increments)
         outliers, self._outliers = self._buffer.outliers - self._outliers, self._buffer.outliers
         if has_image:
             self._connection.add_frame(observations)
-            self._selection.add(tracked)
+            self._selection.add(found)
         return FramePacket(
             t_ns,
             increments,
             observations,
             has_image,
-            verified is not None,
+            self._is_left_out,
             self._repetition.repeats,
             outliers,
             self._zero_velocity.stationary_s,
@@ -148,13 +148,37 @@ class MeasurementPipeline:
         needs_flow = self._exposure.longest_delay_s(calibration) > MAX_DELAY_S
         return self._selection.may_leave_out(increments.duration_s, R_cur_prev, since_keyframe_s, needs_flow=needs_flow)
 
-    def _verified(
-        self, frame: CameraFrame, expected: ExpectedFeatures, R_cur_prev: Array, calibration: Calibration
-    ) -> Observations | None:
-        """Return the features that a frame shows where they are expected; None if it has to be tracked."""
-        if not isinstance(self._front_end, VerifyingFrontEnd):
-            return None
-        return self._front_end.verified(frame, expected, R_cur_prev, calibration.rig)
+    def _found(
+        self,
+        frame: CameraFrame,
+        expected: ExpectedFeatures | None,
+        R_cur_prev: Array,
+        rotation_sigma_rad: float,
+        calibration: Calibration,
+        *,
+        may_leave_out: bool,
+    ) -> Observations:
+        """Return the features that are tracked into a frame, or those that it shows where they are expected.
+
+        In the second case, its images are left out: the next ones are tracked from those before.
+
+        Args:
+            frame: The frame.
+            expected: Where features are expected, if images may be or have been left out.
+            R_cur_prev: (3, 3) Rotation of the first camera from the previous frame.
+            rotation_sigma_rad: Standard deviation of that rotation [rad].
+            calibration: The calibration in use.
+            may_leave_out: Whether the images may be left out.
+        """
+        front_end, rig, self._is_left_out = self._front_end, calibration.rig, False
+        if expected is None or self._predicting is None:
+            return front_end.track(frame, R_cur_prev, rotation_sigma_rad, rig)
+        verified = self._predicting.verified(frame, expected, R_cur_prev, rig) if may_leave_out else None
+        if verified is None:
+            return self._predicting.track(frame, R_cur_prev, rotation_sigma_rad, rig, expected)
+        self._is_left_out = True
+        front_end.track(replace(frame, images=(NO_IMAGE,) * len(rig.cameras)), R_cur_prev, rotation_sigma_rad, rig)
+        return verified
 
     def compare_stamps(self, innovation: Callable[[], Innovation], predicted: NavState) -> None:
         """Compare irregular time stamps with the image of the newest frame; see `StampCorrection.compare`.

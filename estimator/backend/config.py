@@ -19,9 +19,9 @@ class SmootherConfig(Settings):
     """Largest number of landmarks that persist as variables of the marginal prior."""
     iterations: Annotated[int, Range(1, 20)] = 2
     """Largest number of Gauss-Newton steps per keyframe."""
-    max_decrement: Annotated[float, Range(low=0.0)] = 30.0
+    max_decrement: Annotated[float, Range(low=0.0)] = 20.0
     """Squared length of a step in standard deviations (Newton decrement) below which it is the last one: the next step
-    would be shorter than three standard deviations over all unknowns together."""
+    would be shorter than one standard deviation."""
     pixel_sigma: Annotated[float, Range(0.01, 100.0)] = 0.145
     """Standard deviation of an image observation of the best quality, with one camera [px]."""
     stereo_pixel_sigma: Annotated[float, Range(0.01, 100.0)] = 0.1

@@ -22,11 +22,10 @@ import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 
 from dronevio.estimator.backend.config import SmootherConfig
-from dronevio.estimator.backend.jolts import LEAST_VARIANCE, optimized
+from dronevio.estimator.backend.jolts import optimized
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate, keyframe_estimate
 from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkDatabase, TriangulatedLandmarks
 from dronevio.estimator.backend.marginal_prior import STATE_DIM, KeyframeState
-from dronevio.estimator.backend.resection import resected_pose
 from dronevio.estimator.backend.weighting import median
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.imu.covariance import covariance_from_gtsam, covariance_to_gtsam
@@ -292,11 +291,6 @@ class KeyframeSmoother:
     def _focal_px(self) -> float:
         return float(self._calibration.focal_px[0])
 
-    @property
-    def _image_sigma(self) -> float:
-        """Standard deviation of an image observation of the best quality, in normalized coordinates."""
-        return self._config.image_sigma_px(len(self._calibration.Ts_imu_cam)) / self._focal_px
-
     def _begin(self, start: NavState, covariance: Array, observations: Observations) -> tuple[Window, _Solution]:
         """Return a window of one keyframe with a given covariance (15, 15).
 
@@ -312,12 +306,13 @@ class KeyframeSmoother:
         information = np.asarray(np.linalg.inv(gtsam_covariance), dtype=np.float64)
         landmarks = LandmarkDatabase(self._focal_px, self._landmark_config)
         landmarks.add_observations(0, observations)
-        Ts_imu_cam, robust_sigmas = self._calibration.Ts_imu_cam, self._config.robust_sigmas
-        window = Window(first, information, landmarks, Ts_imu_cam, self._image_sigma, robust_sigmas)
+        c, Ts_imu_cam = self._config, self._calibration.Ts_imu_cam
+        sigma = c.image_sigma_px(len(Ts_imu_cam)) / self._focal_px
+        window = Window(first, information, landmarks, Ts_imu_cam, sigma, c.robust_sigmas)
         return window, _Solution(_nav_state(start.t_ns, first, covariance), covariance)
 
     def _append(self, keyframe: Keyframe) -> None:
-        """Add a keyframe with the factors to the previous one, at the prediction by the IMU that the images correct."""
+        """Add a keyframe at the state that the IMU predicts, with the factors to the previous keyframe."""
         window, j = self._window, self._window.newest
         k = j + 1
         nav, bias = self.gtsam_state
@@ -329,13 +324,7 @@ class KeyframeSmoother:
             zero_motion = gtsam.noiseModel.Isotropic.Sigma(6, ZUPT_POSE_SIGMA)
             factors.append(gtsam.PriorFactorVector(V(k), np.zeros(3), zero_velocity))
             factors.append(gtsam.BetweenFactorPose3(X(j), X(k), gtsam.Pose3(), zero_motion))
-        pose, velocity = predicted.pose(), predicted.velocity()
-        if not keyframe.stationary:
-            sigma = self._image_sigma * np.sqrt(max(self._image_variance or 1.0, LEAST_VARIANCE))
-            landmarks, observations = window.landmarks, keyframe.observations
-            preintegrated, c = keyframe.preintegrated, self._calibration
-            pose = resected_pose(pose, self.state, preintegrated, landmarks, observations, c, sigma)
-        window.append(KeyframeState(pose, velocity, bias), factors)
+        window.append(KeyframeState(predicted.pose(), predicted.velocity(), bias), factors)
         earlier = list(window.states)[:-1]
         self._times_ns = {i: self._times_ns[i] for i in earlier} | {k: keyframe.t_ns}
         self._rates_rad_s = {i: self._rates_rad_s[i] for i in earlier if i in self._rates_rad_s}

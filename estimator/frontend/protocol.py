@@ -54,8 +54,29 @@ class FrontEnd(Protocol):
 
 
 @runtime_checkable
-class VerifyingFrontEnd(FrontEnd, Protocol):
-    """A front end that can compare an image with what is expected of it, instead of tracking features into it."""
+class PredictingFrontEnd(FrontEnd, Protocol):
+    """A front end that uses where features are expected, so that images between keyframes may be left out."""
+
+    def track(
+        self,
+        frame: CameraFrame,
+        R_cur_prev: Array,
+        rotation_sigma_rad: float = 0.0,
+        rig: Rig | None = None,
+        expected: ExpectedFeatures | None = None,
+    ) -> Observations:
+        """Track the features into a frame; see `FrontEnd.track`.
+
+        Args:
+            frame: The new frame.
+            R_cur_prev: (3, 3) Rotation of the first camera from the previous frame to this one, by the gyroscope.
+            rotation_sigma_rad: Standard deviation of that rotation [rad].
+            rig: The calibration in use; by default the one that the front end was made for.
+            expected: Where features are expected if the frames before have been left out; they are searched there.
+
+        Returns:
+            The tracked features.
+        """
 
     def verified(
         self, frame: CameraFrame, expected: ExpectedFeatures, R_cur_prev: Array, rig: Rig | None = None

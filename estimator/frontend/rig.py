@@ -98,7 +98,12 @@ class RigTracker:
         self._images: tuple[Image | None, ...] = ()  # of the last frame, without defective pixels
 
     def track(
-        self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
+        self,
+        frame: CameraFrame,
+        R_cur_prev: Array,
+        rotation_sigma_rad: float = 0.0,
+        rig: Rig | None = None,
+        expected: ExpectedFeatures | None = None,
     ) -> Observations:
         """Track the features into a frame.
 
@@ -107,6 +112,7 @@ class RigTracker:
             R_cur_prev: (3, 3) Rotation of the first camera from the previous frame to this one.
             rotation_sigma_rad: Standard deviation of that rotation [rad].
             rig: The calibration in use; by default the last one.
+            expected: Where features are expected, if the frames before have been left out.
 
         Raises:
             ConfigError: There are fewer or more images than cameras, or an image is not uint8 or has not its camera's
@@ -121,7 +127,7 @@ class RigTracker:
         frame = replace(frame, images=tuple(NO_IMAGE if image is None else image for image in self._images))
         return _merged(
             [
-                tracker.track(frame, R_cam_first @ R_cur_prev @ R_cam_first.T, rotation_sigma_rad)
+                tracker.track(frame, R_cam_first @ R_cur_prev @ R_cam_first.T, rotation_sigma_rad, expected=expected)
                 for tracker, R_cam_first in zip(self._trackers, extrinsics.Rs_cam_first, strict=True)
             ]
         )

@@ -123,7 +123,12 @@ class FeatureTracker:
         self._features = self._new_features(np.zeros((0, 2)))
 
     def track(
-        self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
+        self,
+        frame: CameraFrame,
+        R_cur_prev: Array,
+        rotation_sigma_rad: float = 0.0,
+        rig: Rig | None = None,
+        expected: ExpectedFeatures | None = None,
     ) -> Observations:
         """Track the features into a frame.
 
@@ -132,6 +137,7 @@ class FeatureTracker:
             R_cur_prev: (3, 3) Rotation of this camera from the previous frame to this one, by the gyroscope.
             rotation_sigma_rad: Standard deviation of that rotation [rad].
             rig: Not used; the extrinsics of the camera have no influence.
+            expected: Where features are expected, if the frames before have been left out.
 
         Returns:
             The features that are still observed and agree with one rigid motion.
@@ -154,7 +160,7 @@ class FeatureTracker:
         # Tracking, and rejection of outliers by the epipolar geometry
         if previous is not None and len(self._features.ids):
             previous = klt.match_brightness(previous, self._image)
-            agreeing = self._tracked(previous, self._image, R_cur_prev, rotation_sigma_rad)
+            agreeing = self._tracked(previous, self._image, R_cur_prev, rotation_sigma_rad, expected)
             is_chance = len(agreeing.ids) < min(MIN_MATCHES, MIN_SHARE * len(self._features.ids))
             self._features = agreeing[:0] if is_chance else agreeing
         return self._observations()
@@ -170,17 +176,21 @@ class FeatureTracker:
         Raises:
             ConfigError: As `track`.
         """
-        image = image_of(frame, self._index, self._camera)
-        columns, rows = common_rows(expected.ids, self._features.ids)
-        pixels = self._camera.project(expected.rays[self._index, columns])
-        is_shown = is_inside(pixels, self._camera, self._config.border_px) & (image is not None)
-        shown = replace(self._features[rows], pixels=pixels)[is_shown]
-        if image is not None:
-            R = R_cur_prev if self._unseen is None else R_cur_prev @ self._unseen[0]
-            patches = shown.patches.rolled(R)
-            zncc, is_similar = self._aligner.compare(image, self._last_levels.noise, patches, shown.pixels)
-            shown = replace(shown, zncc=zncc)[is_similar]
-        return self._observed(replace(shown, xy=self._camera.normalize(shown.pixels))), len(rows)
+        image, f = image_of(frame, self._index, self._camera), self._features
+        columns, rows = common_rows(expected.ids, f.ids)
+        if image is None:
+            return self._observed(f[:0]), len(rows)
+        # Those inside the image, and among them those whose patches resemble it
+        count, rays = len(rows), expected.rays[self._index, columns]
+        pixels = self._camera.project(rays)
+        seen = np.flatnonzero(is_inside(pixels, self._camera, self._config.border_px))
+        R = R_cur_prev if self._unseen is None else R_cur_prev @ self._unseen[0]
+        patches, noise = f.patches[rows[seen]].rolled(R), self._last_levels.noise
+        zncc, is_similar = self._aligner.compare(image, noise, patches, pixels[seen])
+        seen, zncc = seen[is_similar], zncc[is_similar]
+        rows, xy = rows[seen], rays[seen, :2] / rays[seen, 2:]
+        camera = np.full(len(rows), self._index)
+        return Observations(f.ids[rows], pixels[seen], xy, f.ages[rows], camera, zncc=zncc), count
 
     def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:
         """Add the best new corner of each grid cell without a feature, and return all features of the frame.
@@ -221,16 +231,26 @@ class FeatureTracker:
             self._last_levels = self._aligner.scale_space(self._image)
         return self._last_levels
 
-    def _tracked(self, previous: Image, image: Image, R_cur_prev: Array, rotation_sigma_rad: float) -> _Features:
+    def _tracked(
+        self,
+        previous: Image,
+        image: Image,
+        R_cur_prev: Array,
+        rotation_sigma_rad: float,
+        expected: ExpectedFeatures | None,
+    ) -> _Features:
         """Return the features that are found in the current image and agree with one motion, at their new pixels.
 
         Their patches are compared with the image, or aligned with it if most do not resemble it or some do not agree.
         If most cannot be aligned, the prediction is regarded as wrong, and the others are searched in a larger
         neighbourhood of their previous positions.
         """
-        # Prediction by the gyroscope
+        # Prediction by the gyroscope, and by the landmarks where it is given
         c, features = self._config, self._features
         bearings = np.column_stack([features.xy, np.ones(len(features.xy))]) @ R_cur_prev.T
+        if expected is not None:
+            columns, rows = common_rows(expected.ids, features.ids)
+            bearings[rows] = expected.rays[self._index, columns]
         # A prediction behind the camera has no pixel; OpenCV needs a finite one.
         predicted = self._camera.project(bearings)
         predicted = np.where(np.isnan(predicted), -OUTSIDE_PX, predicted).clip(-OUTSIDE_PX, OUTSIDE_PX)

@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dronevio.estimator.backend.innovation import Innovation
 from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
 from dronevio.estimator.monitoring.causes import Cause, Reason
 from dronevio.estimator.monitoring.config import HealthConfig
 from dronevio.estimator.monitoring.consistency import ConsistencyMonitor
 from dronevio.estimator.monitoring.health import Assessment
+from dronevio.estimator.monitoring.innovation import Innovation
 from dronevio.estimator.monitoring.reference import Reference
 from dronevio.estimator.optimization.linear_fit import median
 from dronevio.estimator.types import Calibration, CalibrationSigmas, ExpectedFeatures, Observations

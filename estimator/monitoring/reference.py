@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dronevio.estimator.backend.innovation import Innovation, PredictionUncertainty, innovation
 from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
+from dronevio.estimator.monitoring.innovation import Innovation, PredictionUncertainty, innovation
 from dronevio.estimator.types import Calibration, CalibrationSigmas, Observations
 from dronevio.models.arrays import Array
 from dronevio.models.state import NavState
@@ -39,7 +39,7 @@ class Reference:
         """
         uncertainty = PredictionUncertainty(*self._prediction_covariance(predicted), self.image_variance_px2)
         ids, points = self.landmarks.ids, self.landmarks.points
-        return innovation(ids, points, observations, predicted.T_world_imu, uncertainty, calibration)
+        return innovation(ids, points, observations, predicted, uncertainty, calibration)
 
     def rotation_uncertainty_px(self, predicted: NavState, calibration: Calibration) -> float:
         """Return the effect of the rotation's uncertainty since the keyframe on the image [px]."""

@@ -13,8 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from dronevio.estimator.backend.innovation import Innovation
 from dronevio.estimator.imu.buffer import Increments
+from dronevio.estimator.monitoring.innovation import Innovation
 from dronevio.models.arrays import Array
 
 MIN_LANDMARKS = 8

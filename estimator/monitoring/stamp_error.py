@@ -18,7 +18,7 @@ from typing import Annotated
 
 import numpy as np
 
-from dronevio.estimator.backend.innovation import Innovation
+from dronevio.estimator.monitoring.innovation import Innovation
 from dronevio.estimator.optimization.linear_fit import median
 from dronevio.models.arrays import Array
 from dronevio.models.ranges import Range, Settings

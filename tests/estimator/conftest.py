@@ -210,6 +210,17 @@ class VerifyingFrontEnd(SyntheticFrontEnd):
         self.verified_ns: list[int] = []
         """Times of the frames that are verified [ns]."""
 
+    def track(
+        self,
+        frame: CameraFrame,
+        R_cur_prev: Array,
+        rotation_sigma_rad: float = 0.0,
+        rig: Rig | None = None,
+        expected: ExpectedFeatures | None = None,
+    ) -> Observations:
+        """Observe the landmarks that are tracked from the previous frame, wherever they are expected."""
+        return super().track(frame, R_cur_prev, rotation_sigma_rad, rig)
+
     def verified(
         self, frame: CameraFrame, expected: ExpectedFeatures, R_cur_prev: Array, rig: Rig | None = None
     ) -> Observations | None:

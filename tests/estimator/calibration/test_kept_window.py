@@ -96,7 +96,7 @@ class WrongLenses:
         return replace(seen, xy=self._rig.cameras[0].model.normalize(seen.pixels))
 
 
-@pytest.mark.parametrize(("cameras", "wrong_m_s"), [(1, 0.15), (2, 0.09)])
+@pytest.mark.parametrize(("cameras", "wrong_m_s"), [(1, 0.15), (2, 0.12)])
 def test_a_corrected_focal_length_mends_the_state_in_motion(
     make_flight: MakeFlight, cameras: int, wrong_m_s: float
 ) -> None:

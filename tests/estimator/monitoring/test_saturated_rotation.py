@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from dronevio.estimator.backend.innovation import Innovation, PredictionUncertainty
 from dronevio.estimator.imu.buffer import Increments
+from dronevio.estimator.monitoring.innovation import Innovation, PredictionUncertainty
 from dronevio.estimator.monitoring.saturated_rotation import (
     MIN_LANDMARKS,
     SIGMA_INFLATION,

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.backend.innovation import Innovation, PredictionUncertainty
 from dronevio.estimator.config import VioConfig
+from dronevio.estimator.monitoring.innovation import Innovation, PredictionUncertainty
 from dronevio.estimator.monitoring.stamp_error import StampConfig, StampCorrection, exposure_error
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.arrays import Array

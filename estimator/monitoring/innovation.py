@@ -15,6 +15,7 @@ from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
 from dronevio.estimator.optimization.linear_fit import LinearFit, median, robust_linear_fit
 from dronevio.estimator.types import Calibration, Observations, common_rows
 from dronevio.models.arrays import Array, Integers
+from dronevio.models.state import NavState
 
 UNKNOWN_INFORMATION = 1e-6
 """Information on an unknown of which nothing is known, in its unit: enough for a solution."""
@@ -108,7 +109,7 @@ def innovation(
     ids: Integers,
     points: Array,
     observations: Observations,
-    T_world_imu: Array,
+    predicted: NavState,
     uncertainty: PredictionUncertainty,
     calibration: Calibration,
 ) -> Innovation:
@@ -118,12 +119,12 @@ def innovation(
         ids: (L,) Identities of the landmarks, in increasing order.
         points: (L, 3) Their positions in the world frame [m].
         observations: The features tracked into the frame.
-        T_world_imu: (4, 4) Pose that the IMU predicts for the frame.
+        predicted: The state that the IMU predicts for the frame.
         uncertainty: Uncertainty of the prediction.
         calibration: The calibration in use.
     """
     rows, columns = common_rows(ids, observations.ids)
-    camera, R, p = observations.camera[columns], T_world_imu[:3, :3], T_world_imu[:3, 3]
+    camera, R, p = observations.camera[columns], predicted.T_world_imu[:3, :3], predicted.T_world_imu[:3, 3]
     Ts_imu_cam, focal_px = calibration.Ts_imu_cam[camera], calibration.focal_px[camera]
     in_imu = (points[rows] - p) @ R
     axes = np.swapaxes(Ts_imu_cam[:, :3, :3], 1, 2)  # rows: the camera axes in the IMU frame
