@@ -73,6 +73,23 @@ def test_a_wrong_calibration_is_corrected(preset: str, share: float) -> None:
     assert np.sqrt((after**2).mean()) < share * np.sqrt((before**2).mean())
 
 
+def test_rays_are_by_the_given_intrinsics() -> None:
+    """What a camera with corrected intrinsics would see along a ray is what the given one sees along the returned."""
+    rig = rig_named("euroc-stereo")
+    intrinsics = IntrinsicCorrections(np.array([0.02, -0.01]), np.full((2, 2), 0.004), np.array([0.02, 0.0]), ZERO)
+    intrinsics = replace(intrinsics, is_fisheye=np.zeros(2, np.bool_))
+    p_imu = np.array([[0.5, 0.2, 3.0], [-0.4, 0.8, 2.0], [0.1, -0.3, 5.0]]) @ rig.cameras[0].T_imu_cam[:3, :3].T
+    given, corrected = (Calibration(rig, intrinsics=each) for each in (None, intrinsics))
+    true, found = given.rays(p_imu), corrected.rays(p_imu)
+    for camera in range(2):
+        T = rig.cameras[camera].T_imu_cam
+        np.testing.assert_allclose(true[camera], (p_imu - T[:3, 3]) @ T[:3, :3])
+        xy = true[camera, :, :2] / true[camera, :, 2:]
+        seen = corrected.corrected_xy(found[camera, :, :2] / found[camera, :, 2:], np.full(3, camera))
+        np.testing.assert_allclose(seen, xy, atol=1e-5)
+        assert np.abs(found[camera, :, :2] / found[camera, :, 2:] - xy).max() > 0.003
+
+
 @pytest.mark.parametrize(("preset", "is_fisheye"), [("euroc-stereo", False), ("nano", False), ("fisheye-stereo", True)])
 def test_corrections_of_a_rig_are_those_of_its_lenses(preset: str, is_fisheye: bool) -> None:
     """The focal lengths of all cameras are corrected by 1 %, the tenth parameter of each."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dronevio.estimator.frontend import klt
+from dronevio.estimator.frontend import klt, patches
 from dronevio.estimator.frontend.patches import PatchAligner, PatchAlignment, PatchConfig, noise_sigma
 from dronevio.models.arrays import Array, Image
 
@@ -40,10 +40,10 @@ def warped(points: Array, warp: Array, shift: Array) -> Array:
 def aligned(first: Image, second: Image, start: Array, config: PatchConfig = CONFIG, frames: int = 1) -> PatchAlignment:
     """Extract patches from one image and align them with another, repeatedly as if in several frames."""
     aligner = PatchAligner(config)
-    patches, target = aligner.extract(aligner.scale_space(first), POINTS), aligner.scale_space(second)
+    extracted, target = aligner.extract(aligner.scale_space(first), POINTS), aligner.scale_space(second)
     for _ in range(frames):
-        result = aligner.align(target, patches, start)
-        patches, start = result.patches, result.pixels
+        result = aligner.align(target, extracted, start)
+        extracted, start = result.patches, result.pixels
     return result
 
 
@@ -86,6 +86,21 @@ def test_affine_warps_are_recovered(warp: Array) -> None:
     assert result.valid[inside].all()
     assert is_close(result.pixels[inside], expected[inside], median_px=0.03)
     assert np.abs(np.median(result.patches.warp[inside], axis=0) - warp).max() < 0.01
+
+
+def test_patches_that_have_settled_leave_the_alignment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Most do after the first round; each is near the position after all iterations, the others exactly there."""
+    d, warp = np.array([0.4, -0.2]), np.array([[1.05, 0.08], [-0.02, 0.97]])
+    images, start = (picture(), picture(warp, d)), warped(POINTS, warp, d) + 0.3
+    leaving = aligned(*images, start)
+    monkeypatch.setattr(patches, "SETTLED_PX", 0.0)
+    staying = aligned(*images, start)
+    step_px = np.linalg.norm(leaving.pixels - staying.pixels, axis=1)
+    assert np.quantile(step_px, 0.95) < 0.02
+    monkeypatch.setattr(patches, "SETTLED_PX", np.inf)
+    has_left = np.all(aligned(*images, start).pixels == leaving.pixels, axis=1)
+    assert 0.3 * len(POINTS) < has_left.sum() < len(POINTS)
+    np.testing.assert_array_equal(step_px[~has_left], 0.0)
 
 
 def test_camera_roll_rotates_the_warp() -> None:
