@@ -57,15 +57,15 @@ class EliminatedLandmarks:
 
     columns: Integers
     """(n,) These unknowns among all."""
-    L_l: Array
-    """(L, 3, 3) Cholesky factors of the landmarks' information."""
+    L_inverse: Array
+    """(L, 3, 3) Inverses of the Cholesky factors of the landmarks' information."""
     half: Array
-    """(L, 3, n + 1) Their inverses times the blocks between landmarks and unknowns, and times the right-hand sides."""
+    """(L, 3, n + 1) These times the blocks between landmarks and unknowns, and times the right-hand sides."""
 
     def back_substitute(self, delta: Array) -> Array:
         """Return the step (L, 3) of the landmarks that belongs to a step of the other unknowns."""
         right = self.half[..., -1] - self.half[..., :-1] @ delta[self.columns]
-        return np.asarray(np.linalg.solve(np.swapaxes(self.L_l, 1, 2), right[..., None])[..., 0])
+        return np.asarray((np.swapaxes(self.L_inverse, 1, 2) @ right[..., None])[..., 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,8 +208,8 @@ class CalibrationObjective:
         return np.asarray(self.prior_information[np.ix_(self.estimated, self.estimated)])
 
     def _squares(self, residual: Array) -> Array:
-        """Return the squares (N,) of residuals (N, 2), relative to the squared threshold of the robust loss."""
-        return np.asarray((np.linalg.norm(residual, axis=1) / (ROBUST_SIGMAS * self.sigma)) ** 2)
+        """Return the squares (N,) of residuals (2, N), relative to the squared threshold of the robust loss."""
+        return np.asarray((residual[0] ** 2 + residual[1] ** 2) / (ROBUST_SIGMAS * self.sigma) ** 2)
 
     def _prior_errors(self, x: CalibrationEstimate) -> tuple[Array, Array]:
         """Return the priors' means minus the estimated corrections (E,), and minus first keyframe and biases (15,)."""
@@ -255,41 +255,43 @@ class CalibrationObjective:
     ) -> tuple[EliminatedLandmarks, float]:
         """Add the observations with the landmarks eliminated, and return these and the reprojection error [px]."""
         observations, L, E, K = self.observations, len(x.points), len(self.estimated), len(x.state.R_world_imu)
-        # Jacobians and residuals in standard deviations of the robust loss
+        # Jacobians by landmark, pose and corrections, and residuals, in standard deviations of the robust loss
         projection = project(x.state, observations, x.points)
         robust = 1.0 / cauchy_inflation(self._squares(projection.residual), 1.0)
-        root_weight = np.sqrt(robust)[:, None, None] / self.sigma
-        J_c = projection.J_corrections[:, :, self.estimated]
-        parts = projection.J_pose, J_c, projection.J_point, projection.residual[..., None]
-        J_pose, J_c, J_point, r = (part * root_weight for part in parts)
+        J_c, r = projection.J_corrections[:, self.estimated], projection.residual[:, None]
+        J_r = np.concatenate([projection.J_point, projection.J_pose, J_c, r], axis=1)
+        J_r *= np.sqrt(robust) / self.sigma
 
         # Poses and corrections: products of all observations of a keyframe at once
-        of_pose = np.zeros((K, 6, 6 + E + 1))
+        of_pose, of_corrections = np.zeros((K, 6, 6 + E + 1)), np.zeros((E, E + 1))
         order = np.argsort(observations.keyframe, kind="stable")
-        bounds = np.searchsorted(observations.keyframe[order], np.arange(K + 1))
-        J_r = np.concatenate([J_pose, J_c, r], axis=2)[order]
+        bounds = np.searchsorted(observations.keyframe[order], np.arange(K + 1)).tolist()
+        by_keyframe = J_r[:, 3:].take(order, axis=2).swapaxes(0, 1)
         for k in range(K):
-            J_r_k = J_r[bounds[k] : bounds[k + 1]].reshape(-1, 6 + E + 1)
-            of_pose[k] = J_r_k[:, :6].T @ J_r_k
+            J_r_k = by_keyframe[..., bounds[k] : bounds[k + 1]].reshape(6 + E + 1, -1)
+            of_pose[k] = J_r_k[:6] @ J_r_k.T
+            of_corrections += J_r_k[6:-1] @ J_r_k[6:].T
         H_pp, H_pc, b_p = of_pose[..., :6], of_pose[..., 6:-1], of_pose[..., -1]
-        J_c_r = J_r[..., 6:].reshape(-1, E + 1)
-        of_corrections = J_c_r[:, :-1].T @ J_c_r
 
-        # Landmarks
-        J_point_T = np.swapaxes(J_point, 1, 2)
-        of_landmark = np.add.reduceat(J_point_T @ np.concatenate([J_point, J_c, r], axis=2), observations.starts)
-        H_ll, H_lc, b_l = of_landmark[..., :3], of_landmark[..., 3:-1], of_landmark[..., -1]
-        H_lp = np.zeros((L, K, 3, 6))
+        # Landmarks: products of all observations of each, and of every observation with its pose
+        of_landmark, by_landmark = np.empty((L, 3, 9 + E + 1)), J_r.swapaxes(0, 1)
+        starts = [*observations.starts.tolist(), len(observations.landmark)]
+        for row in range(L):
+            J_r_l = by_landmark[..., starts[row] : starts[row + 1]].reshape(9 + E + 1, -1)
+            of_landmark[row] = J_r_l[:3] @ J_r_l.T
+        H_ll, H_lc, b_l = of_landmark[..., :3], of_landmark[..., 9:-1], of_landmark[..., -1]
+        H_lp, of_observation = np.zeros((L, K, 3, 6)), np.einsum("rin,rjn->nij", J_r[:, :3], J_r[:, 3:9])
         for camera in range(len(x.state.Ts_imu_cam)):  # a camera observes a landmark once in a keyframe
             rows = np.flatnonzero(observations.camera == camera)
-            H_lp[observations.landmark[rows], observations.keyframe[rows]] += J_point_T[rows] @ J_pose[rows]
+            H_lp[observations.landmark[rows], observations.keyframe[rows]] += of_observation[rows]
 
         # Elimination of the landmarks by the Cholesky factors L_l of H_ll: subtract (L_l⁻¹ H_lx)ᵀ (L_l⁻¹ H_lx)
         poses = (STATE_DIM * np.arange(K)[:, None] + np.arange(6)).ravel()
         columns = np.concatenate([poses, np.arange(n, n + E)])
         H_lx = np.concatenate([np.swapaxes(H_lp, 1, 2).reshape(L, 3, 6 * K), H_lc], axis=2)
-        L_l = np.linalg.cholesky(H_ll + 1e-9 * np.trace(H_ll, axis1=1, axis2=2)[:, None, None] * np.eye(3))
-        half = np.linalg.solve(L_l, np.concatenate([H_lx, b_l[..., None]], axis=2)).reshape(3 * L, -1)
+        damping = 1e-9 * np.trace(H_ll, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+        L_inverse = np.linalg.inv(np.linalg.cholesky(H_ll + damping))
+        half = (L_inverse @ np.concatenate([H_lx, b_l[..., None]], axis=2)).reshape(3 * L, -1)
         H[np.ix_(columns, columns)] -= half[:, :-1].T @ half[:, :-1]
         b[columns] -= half[:, :-1].T @ half[:, -1]
         for k in range(K):
@@ -300,8 +302,8 @@ class CalibrationObjective:
             b[pose] += b_p[k]
         H[n:, n:] += of_corrections[:, :-1]
         b[n:] += of_corrections[:, -1]
-        rms = float(np.sqrt((robust * (projection.residual**2).sum(axis=1)).sum() / robust.sum()))
-        return EliminatedLandmarks(columns, L_l, half.reshape(L, 3, -1)), rms * self.focal_px
+        rms = float(np.sqrt((robust * (projection.residual**2).sum(axis=0)).sum() / robust.sum()))
+        return EliminatedLandmarks(columns, L_inverse, half.reshape(L, 3, -1)), rms * self.focal_px
 
 
 def _first_information(config: AdjustmentConfig, first: NavState, *, is_stationary: bool) -> Array:
