@@ -7,20 +7,22 @@ from dronevio._lazy import attach
 if TYPE_CHECKING:
     from dronevio.estimator.baselines.dead_reckoning import DeadReckoning, DeadReckoningConfig
     from dronevio.estimator.config import VioConfig
-    from dronevio.estimator.frontend.protocol import FrontEnd
+    from dronevio.estimator.frontend.protocol import FrontEnd, PredictingFrontEnd
     from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
     from dronevio.estimator.odometry import VisualInertialOdometry
-    from dronevio.estimator.types import Calibration, FramePacket, Matches, Observations
+    from dronevio.estimator.types import Calibration, ExpectedFeatures, FramePacket, Matches, Observations
 
 __all__ = [
     "Calibration",
     "DeadReckoning",
     "DeadReckoningConfig",
+    "ExpectedFeatures",
     "FramePacket",
     "FrontEnd",
     "ImuRatePropagator",
     "Matches",
     "Observations",
+    "PredictingFrontEnd",
     "VioConfig",
     "VisualInertialOdometry",
 ]
@@ -30,9 +32,9 @@ __getattr__, __dir__ = attach(
     {
         "dronevio.estimator.baselines.dead_reckoning": ("DeadReckoning", "DeadReckoningConfig"),
         "dronevio.estimator.config": ("VioConfig",),
-        "dronevio.estimator.frontend.protocol": ("FrontEnd",),
+        "dronevio.estimator.frontend.protocol": ("FrontEnd", "PredictingFrontEnd"),
         "dronevio.estimator.imu.forward_propagation": ("ImuRatePropagator",),
-        "dronevio.estimator.types": ("Calibration", "FramePacket", "Matches", "Observations"),
+        "dronevio.estimator.types": ("Calibration", "ExpectedFeatures", "FramePacket", "Matches", "Observations"),
         "dronevio.estimator.odometry": ("VisualInertialOdometry",),
     },
 )

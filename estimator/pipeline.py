@@ -177,7 +177,8 @@ class MeasurementPipeline:
         if verified is None:
             return self._predicting.track(frame, R_cur_prev, rotation_sigma_rad, rig, expected)
         self._is_left_out = True
-        front_end.track(replace(frame, images=(NO_IMAGE,) * len(rig.cameras)), R_cur_prev, rotation_sigma_rad, rig)
+        unseen = replace(frame, images=(NO_IMAGE,) * len(rig.cameras))
+        self._at_frame_time(front_end.track(unseen, R_cur_prev, rotation_sigma_rad, rig), calibration)
         return verified
 
     def compare_stamps(self, innovation: Callable[[], Innovation], predicted: NavState) -> None:

@@ -100,14 +100,14 @@ class Health(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class FeatureTracks:
-    """Image features that an estimator tracks in one frame of the main camera."""
+    """Image features that an estimator finds in one frame of the main camera."""
 
     ids: npt.NDArray[np.int64]
     """(N,) Identity of each feature, constant while it is tracked."""
     pixels: Array
     """(N, 2) Position of each feature in the image [px]."""
     ages: npt.NDArray[np.int64]
-    """(N,) Number of frames in which each feature has been observed."""
+    """(N,) Number of frames into which each feature has been tracked."""
 
 
 @dataclass(frozen=True, kw_only=True)

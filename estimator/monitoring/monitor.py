@@ -158,7 +158,8 @@ class HealthMonitor:
             stationary: Whether the vehicle is stationary, which constrains the estimate.
             calibration: The calibration in use.
             has_image: Whether the frame has an image; one that lacks it says nothing about the landmarks.
-            is_left_out: Whether its image was not tracked, so that what the last one said still holds.
+            is_left_out: Whether its image was not tracked, because it shows what is expected. Otherwise, what the last
+                one said still holds.
         """
         c, t_ns = self._config, predicted.t_ns
         if not _is_finite(predicted):
@@ -167,6 +168,7 @@ class HealthMonitor:
 
         position_sigma_m, velocity_sigma_m_s = _sigmas(predicted)
         if is_left_out and self._assessment is not None:
+            self._consistency.update(t_ns, 0.0, moves=not stationary)  # the image agrees with the prediction
             return replace(self._assessment, position_sigma_m=position_sigma_m, velocity_sigma_m_s=velocity_sigma_m_s)
 
         # Innovation of the landmarks of known position
