@@ -283,6 +283,22 @@ def test_recently_inconsistent_estimate_is_not_tracking() -> None:
     )
 
 
+@pytest.mark.parametrize("is_left_out", [True, False])
+def test_images_that_are_left_out_agree_with_the_prediction(is_left_out: bool) -> None:
+    """One frame in four has large innovations, as keyframes in fast motion; the report is that of the last of them."""
+    triangulated = landmarks(40, np.random.default_rng(1))
+    monitor, bad = monitor_of(triangulated), error_of_nis(1.05 * CONFIG.max_consistent_nis)
+    for k in range(60):
+        state, observations = state_after(k), observe(triangulated, START, ZEROS, np.array([bad, 0.0]))
+        monitor.set_reference(state, triangulated, None, DENSITIES)
+        if k % 4 == 0:
+            last = monitor.assess(observations, state, False, Calibration(RIG))
+        elif is_left_out:
+            report = monitor.assess(observations, state, False, Calibration(RIG), has_image=False, is_left_out=True)
+            assert (report.landmarks, report.innovation_nis) == (last.landmarks, last.innovation_nis)
+    assert monitor.is_consistent is is_left_out
+
+
 def test_contradictions_at_every_turn_are_one_distrust() -> None:
     """A wrong lens or focal length contradicts the estimate in turns, which may be eight seconds apart."""
     triangulated, straight = landmarks(40, np.random.default_rng(1)), [error_of_nis(1.0)] * round(8.0 / 0.05)
