@@ -170,12 +170,15 @@ class MeasurementPipeline:
             calibration: The calibration in use.
             may_leave_out: Whether the images may be left out.
         """
-        front_end, rig, self._is_left_out = self._front_end, calibration.rig, False
+        front_end, rig = self._front_end, calibration.rig
+        was_left_out, self._is_left_out = self._is_left_out, False
         if expected is None or self._predicting is None:
             return front_end.track(frame, R_cur_prev, rotation_sigma_rad, rig)
         verified = self._predicting.verified(frame, expected, R_cur_prev, rig) if may_leave_out else None
         if verified is None:
-            return self._predicting.track(frame, R_cur_prev, rotation_sigma_rad, rig, expected)
+            return self._predicting.track(
+                frame, R_cur_prev, rotation_sigma_rad, rig, expected if was_left_out else None
+            )
         self._is_left_out = True
         unseen = replace(frame, images=(NO_IMAGE,) * len(rig.cameras))
         self._at_frame_time(front_end.track(unseen, R_cur_prev, rotation_sigma_rad, rig), calibration)
