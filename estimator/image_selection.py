@@ -11,10 +11,11 @@ import numpy as np
 from dronevio.estimator.backend.keyframes import KeyframeConfig, KeyframePolicy
 from dronevio.estimator.types import Observations, common_rows
 from dronevio.models.arrays import Array, median
+from dronevio.models.rotation import log_so3
 
 MAX_DISPLACEMENT = 0.08
-"""Largest displacement of features from one keyframe to the next, rotation removed, if images between are left out, in
-normalized coordinates: 37 pixels of EuRoC's cameras, the reach of Lucas-Kanade."""
+"""Largest displacement of features from one keyframe to the next if images between are left out, in normalized
+coordinates: 37 pixels of EuRoC's cameras, the reach of Lucas-Kanade."""
 MIN_FEATURES = 20
 """Smallest number of features that show how the image moves."""
 
@@ -26,8 +27,8 @@ class ImageSelection:
         """Begin before the first frame, with the settings of the keyframes."""
         self._config, self._policy = config, KeyframePolicy(config)
         self._tracked: Observations | None = None  # the features of the last image that was tracked
-        self._since_s, self._R_cur_tracked = 0.0, np.eye(3)  # time since that image, and rotation of the camera
-        self._speed = np.inf  # median speed of the features in it, rotation removed [1/s]
+        self._since_s = 0.0  # time since that image
+        self._speed = np.inf  # median speed of the features in it, or a later rate of the camera [1/s]
 
     def may_leave_out(
         self, frame_s: float, R_cur_prev: Array, since_keyframe_s: float | None, *, needs_flow: bool = False
@@ -40,25 +41,23 @@ class ImageSelection:
             since_keyframe_s: Time from the newest keyframe to the frame before [s]; None if every image is needed.
             needs_flow: Whether the image before a keyframe is needed, for the flow of the features at the keyframe.
         """
-        self._since_s, self._R_cur_tracked = self._since_s + frame_s, R_cur_prev @ self._R_cur_tracked
+        self._since_s += frame_s
         if self._config.every_image or not frame_s or since_keyframe_s is None:
             return False
         used_s = since_keyframe_s + (2.0 if needs_flow else 1.0) * frame_s
         if self._policy.is_interval_over(used_s, frame_s, stationary=False):
             return False
+        self._speed = max(self._speed, float(np.linalg.norm(log_so3(R_cur_prev))) / frame_s)
         return self._config.interval_s * self._speed <= MAX_DISPLACEMENT
 
     def add(self, tracked: Observations) -> None:
         """Add the features of a frame whose images are tracked."""
         if self._config.every_image:
             return
-        last, since_s, R = self._tracked, self._since_s, self._R_cur_tracked
-        self._tracked, self._since_s, self._R_cur_tracked, self._speed = tracked, 0.0, np.eye(3), np.inf
+        last, since_s = self._tracked, self._since_s
+        self._tracked, self._since_s, self._speed = tracked, 0.0, np.inf
         if last is None or not since_s:
             return
         i, j = common_rows(tracked.ids, last.ids)
-        i, j = i[tracked.camera[i] == 0], j[tracked.camera[i] == 0]  # the rotation is that of the first camera
         if len(i) >= MIN_FEATURES:
-            rays = np.column_stack([last.xy[j], np.ones(len(j))]) @ R.T
-            flow = tracked.xy[i] - rays[:, :2] / rays[:, 2:]
-            self._speed = float(median(np.linalg.norm(flow, axis=1))) / since_s
+            self._speed = float(median(np.linalg.norm(tracked.xy[i] - last.xy[j], axis=1))) / since_s
