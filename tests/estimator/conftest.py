@@ -209,6 +209,8 @@ class VerifyingFrontEnd(SyntheticFrontEnd):
         super().__init__(flight)
         self.verified_ns: list[int] = []
         """Times of the frames that are verified [ns]."""
+        self.expected_ns: list[int] = []
+        """Times of the frames that are tracked from where features are expected [ns]."""
 
     def track(
         self,
@@ -219,6 +221,8 @@ class VerifyingFrontEnd(SyntheticFrontEnd):
         expected: ExpectedFeatures | None = None,
     ) -> Observations:
         """Observe the landmarks that are tracked from the previous frame, wherever they are expected."""
+        if expected is not None:
+            self.expected_ns.append(frame.t_ns)
         return super().track(frame, R_cur_prev, rotation_sigma_rad, rig)
 
     def verified(
