@@ -12,8 +12,10 @@ from dronevio.estimator.backend.keyframes import KeyframeConfig
 from dronevio.estimator.backend.marginal_prior import MarginalPrior
 from dronevio.estimator.backend.marginalization import PendingMarginalization
 from dronevio.estimator.config import VioConfig
+from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.noise import ImuNoiseEstimator
 from dronevio.estimator.monitoring.causes import Cause
+from dronevio.estimator.monitoring.stamp_error import StampCorrection
 from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.arrays import Array
@@ -430,6 +432,18 @@ def test_every_image_is_tracked_if_it_is_a_setting(make_flight: MakeFlight) -> N
     flight = make_flight(1, rest_s=STATIONARY, duration_s=5.0, motion=CALM)
     front_end = VerifyingFrontEnd(flight)
     flight.run(front_end, VioConfig(keyframe=KeyframeConfig(every_image=True)))
+    assert not front_end.verified_ns
+
+
+@pytest.mark.parametrize(("part", "quality"), [(StampCorrection, "is_irregular"), (Increments, "is_degraded")])
+def test_every_image_is_tracked_where_the_prediction_is_poor(
+    make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch, part: type, quality: str
+) -> None:
+    """Irregular time stamps, and a saturated IMU or one with gaps, give no exact prediction."""
+    flight = make_flight(1, rest_s=STATIONARY, duration_s=5.0, motion=CALM)
+    front_end = VerifyingFrontEnd(flight)
+    monkeypatch.setattr(part, quality, True)
+    flight.run(front_end)
     assert not front_end.verified_ns
 
 
