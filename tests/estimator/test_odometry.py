@@ -2,20 +2,17 @@
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from dronevio.estimator.backend.keyframes import KeyframeConfig
 from dronevio.estimator.backend.marginal_prior import MarginalPrior
 from dronevio.estimator.backend.marginalization import PendingMarginalization
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.noise import ImuNoiseEstimator
 from dronevio.estimator.monitoring.causes import Cause
-from dronevio.estimator.monitoring.stamp_error import StampCorrection
 from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.arrays import Array
@@ -24,7 +21,7 @@ from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import Estimator, measurements
 from dronevio.models.rotation import exp_so3
 from dronevio.models.state import Estimate, Health, Trajectory
-from tests.estimator.conftest import SyntheticFlight, VerifyingFrontEnd
+from tests.estimator.conftest import SyntheticFlight
 
 MakeFlight = Callable[..., SyntheticFlight]
 EstimatedFlight = Callable[[int, float], tuple[SyntheticFlight, list[Estimate]]]
@@ -387,100 +384,6 @@ def test_frames_without_an_image_cost_little(make_flight: MakeFlight, rest_s: fl
     clean = flight.run()
     assert first <= 8 + next(k for k, estimate in enumerate(clean) if estimate.state is not None)
     assert ate_m(flight, poses(estimates)) < 2.0 * ate_m(flight, poses(clean))
-
-
-CALM = {"position_rates": np.full((3, 2), 0.4), "angle_rates": np.full((3, 2), 0.4)}
-
-
-@dataclass(frozen=True, eq=False)
-class JumpingFlight(SyntheticFlight):
-    """A flight whose landmarks jump aside at a time."""
-
-    jump_ns: int = 0
-    """The time [ns]."""
-
-    def landmarks_at(self, t_ns: int) -> Array:
-        return super().landmarks_at(t_ns) + [0.0, 0.2 * (t_ns >= self.jump_ns), 0.0]
-
-
-def verified_frames(flight: SyntheticFlight, front_end: VerifyingFrontEnd) -> list[int]:
-    """Return the indices of the frames of a flight that were verified instead of tracked."""
-    return np.searchsorted(flight.frame_times_ns, front_end.verified_ns).tolist()
-
-
-def test_images_that_show_what_is_expected_are_left_out_at_no_cost(make_flight: MakeFlight) -> None:
-    """The report is that of the last one that was tracked; the tracks are where they are expected."""
-    flight = make_flight(1, rest_s=STATIONARY, duration_s=8.0, motion=CALM)
-    every, front_end = flight.run(), VerifyingFrontEnd(flight)
-    sparse = flight.run(front_end)
-    missing = verified_frames(flight, front_end)
-    assert len(missing) > 60
-    after = {k + 1 for k in missing} - set(missing)
-    assert set(np.searchsorted(flight.frame_times_ns, front_end.expected_ns).tolist()) == after
-    assert not any("keyframe" in sparse[k].events for k in missing)
-    assert sum("keyframe" in e.events for e in sparse) == sum("keyframe" in e.events for e in every)
-    for k in missing:
-        now, before, tracks = sparse[k].health_report, sparse[k - 1].health_report, sparse[k].tracks
-        assert now is not None and before is not None and sparse[k].health is Health.TRACKING
-        assert (now.landmarks, now.innovation_nis) == (before.landmarks, before.innovation_nis)
-        assert now.position_sigma_m != before.position_sigma_m
-        assert tracks is not None and len(tracks.ids) >= 20
-    assert ate_m(flight, poses(sparse)) < 1.2 * ate_m(flight, poses(every))
-
-
-def test_every_image_is_tracked_if_it_is_a_setting(make_flight: MakeFlight) -> None:
-    flight = make_flight(1, rest_s=STATIONARY, duration_s=5.0, motion=CALM)
-    front_end = VerifyingFrontEnd(flight)
-    flight.run(front_end, VioConfig(keyframe=KeyframeConfig(every_image=True)))
-    assert not front_end.verified_ns
-
-
-@pytest.mark.parametrize(("part", "quality"), [(StampCorrection, "is_irregular"), (Increments, "is_degraded")])
-def test_every_image_is_tracked_where_the_prediction_is_poor(
-    make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch, part: type, quality: str
-) -> None:
-    """Irregular time stamps, and a saturated IMU or one with gaps, give no exact prediction."""
-    flight = make_flight(1, rest_s=STATIONARY, duration_s=5.0, motion=CALM)
-    front_end = VerifyingFrontEnd(flight)
-    monkeypatch.setattr(part, quality, True)
-    flight.run(front_end)
-    assert not front_end.verified_ns
-
-
-def test_images_that_show_something_else_are_tracked(make_flight: MakeFlight) -> None:
-    """From a frame between keyframes on, the landmarks are 20 cm farther to the side."""
-    flight = make_flight(1, rest_s=STATIONARY, duration_s=8.0, motion=CALM)
-    front_end = VerifyingFrontEnd(flight)
-    flight.run(front_end)
-    missing = verified_frames(flight, front_end)
-    first = next(k for k in missing if k > 120 and {k + 1, k + 2} <= set(missing))
-    jump_ns = int(flight.frame_times_ns[first + 1])
-    moving = JumpingFlight(**{f.name: getattr(flight, f.name) for f in fields(flight)}, jump_ns=jump_ns)
-    front_end = VerifyingFrontEnd(moving)
-    estimates = moving.run(front_end)
-    assert not {first + 1, first + 2} & set(verified_frames(moving, front_end))
-    assert "keyframe" in (*estimates[first + 1].events, *estimates[first + 2].events)
-
-
-@pytest.mark.parametrize(("offset_s", "readout_s"), [(0.004, 0.0), (0.0, 0.02)])
-def test_the_image_before_a_keyframe_is_tracked_if_delays_are_long(
-    make_flight: MakeFlight, offset_s: float, readout_s: float
-) -> None:
-    """Its flow corrects for the delays; that of an image after several left-out ones is right, too."""
-    flight = make_flight(1, rest_s=STATIONARY, duration_s=8.0, motion=CALM)
-    camera = replace(flight.rig.cameras[0], readout_s=readout_s, time_offset_s=offset_s)
-    late = replace(flight, rig=replace(flight.rig, cameras=(camera,)))
-    front_end = VerifyingFrontEnd(late)
-    estimates = late.run(front_end)
-    missing = set(verified_frames(late, front_end))
-    keyframes = [k for k, e in enumerate(estimates) if "keyframe" in e.events]
-    assert not missing & {k - 1 for k in keyframes}
-    assert len(missing) > 40
-    sparse, every = (
-        [r.innovation_px for e in run if (r := e.health_report) is not None and r.innovation_px is not None]
-        for run in (estimates, late.run())
-    )
-    assert np.quantile(sparse, 0.9) < 1.3 * np.quantile(every, 0.9)
 
 
 @pytest.mark.parametrize("rest_s", [STATIONARY, IN_MOTION])
