@@ -46,7 +46,7 @@ class JumpingFlight(SyntheticFlight):
 
 def verified_frames(flight: SyntheticFlight, front_end: VerifyingFrontEnd) -> list[int]:
     """Return the indices of the frames of a flight that were verified instead of tracked."""
-    return np.searchsorted(flight.frame_times_ns, front_end.verified_ns).tolist()
+    return [int(row) for row in np.searchsorted(flight.frame_times_ns, front_end.verified_ns)]
 
 
 def test_images_that_show_what_is_expected_are_left_out_at_no_cost(make_flight: MakeFlight) -> None:
