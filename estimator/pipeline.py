@@ -16,7 +16,7 @@ from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.protocol import FrontEnd, PredictingFrontEnd
 from dronevio.estimator.frontend.repetition import RepetitionFilter
 from dronevio.estimator.frontend.rolling_shutter import ExposureCompensation
-from dronevio.estimator.image_selection import ImageSelection
+from dronevio.estimator.image_selection import MIN_CAMERAS, ImageSelection
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
 from dronevio.estimator.imu.preintegration import PreintegrationParams
 from dronevio.estimator.initialization.gauge import BiasPrior
@@ -60,7 +60,8 @@ class MeasurementPipeline:
         self._last_frame_ns: int | None = None
         self._outliers = 0  # of the IMU, up to the newest frame
         self._connection, self._is_left_out = ImageConnection(), False
-        self._predicting = front_end if isinstance(front_end, PredictingFrontEnd) else None
+        has_depth = len(rig.cameras) >= MIN_CAMERAS
+        self._predicting = front_end if isinstance(front_end, PredictingFrontEnd) and has_depth else None
 
     def add_imu(self, samples: ImuSamples) -> ImuSamples:
         """Add the IMU samples since the last call, and return those that are used now; see `ImuBuffer.add`."""
@@ -115,7 +116,7 @@ class MeasurementPipeline:
         tracking_sigma = max(rotation_sigma, CONTRADICTED_SIGMA_RAD) if contradicted else rotation_sigma
         may_leave_out = self._may_leave_out(increments, R_cur_prev, since_keyframe_s, calibration)
         features = None
-        if expected is not None and (may_leave_out or self._is_left_out):
+        if self._predicting is not None and expected is not None and (may_leave_out or self._is_left_out):
             features = expected(t_ns, increments)
         found = self._found(frame, features, R_cur_prev, tracking_sigma, calibration, may_leave_out=may_leave_out)
         # Cameras that have no tracker of their own observe no features in a frame that the others lack.

@@ -8,6 +8,7 @@ import pytest
 
 from dronevio.estimator.backend.keyframes import KeyframeConfig
 from dronevio.estimator.config import VioConfig
+from dronevio.estimator.image_selection import MIN_CAMERAS
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.monitoring.stamp_error import StampCorrection
 from dronevio.eval.metrics.alignment import align
@@ -19,6 +20,12 @@ MakeFlight = Callable[..., SyntheticFlight]
 STATIONARY = 1.5
 """Time at which the motion begins [s]."""
 CALM = {"position_rates": np.full((3, 2), 0.4), "angle_rates": np.full((3, 2), 0.4)}
+
+
+@pytest.fixture(autouse=True)
+def one_camera(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the images of one camera, too: synthetic flights have no other."""
+    monkeypatch.setattr("dronevio.estimator.pipeline.MIN_CAMERAS", 1)
 
 
 def poses(estimates: list[Estimate]) -> Trajectory:
@@ -67,6 +74,14 @@ def test_images_that_show_what_is_expected_are_left_out_at_no_cost(make_flight: 
         assert now.position_sigma_m != before.position_sigma_m
         assert tracks is not None and len(tracks.ids) >= 20
     assert ate_m(flight, poses(sparse)) < 1.2 * ate_m(flight, poses(every))
+
+
+def test_every_image_of_one_camera_is_tracked(make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dronevio.estimator.pipeline.MIN_CAMERAS", MIN_CAMERAS)
+    flight = make_flight(1, rest_s=STATIONARY, duration_s=5.0, motion=CALM)
+    front_end = VerifyingFrontEnd(flight)
+    flight.run(front_end)
+    assert not front_end.verified_ns
 
 
 def test_every_image_is_tracked_if_it_is_a_setting(make_flight: MakeFlight) -> None:
