@@ -501,7 +501,7 @@ for name, Z in (
 
 # %% [markdown]
 # Two images, half a minute apart, tell the pose of one in the frame of the
-# other to about a centimetre. By the odometry, it is wrong by 28 cm.
+# other to one to three centimetres. By the odometry, it is wrong by 25 cm.
 #
 # ## 4. The pose graph
 #
@@ -517,7 +517,7 @@ for name, Z in (
 #
 # Without the loop, the solution is the odometry itself. $\Sigma$ says how far a
 # step of the odometry may be wrong: 0.3° and 2 cm are a guess, which allows
-# $\sqrt{144} \cdot 0.3° = 3.6°$ after the lap. The loss $\rho$ of the loop is
+# $\sqrt{178} \cdot 0.3° = 4.0°$ after the lap. The loss $\rho$ of the loop is
 # Cauchy's, for the case that it is wrong. With GTSAM, the graph is a dozen
 # lines.
 
@@ -596,7 +596,7 @@ for column, poses, colour, name in (
 plt.show()
 
 # %% [markdown]
-# The optimization has moved the end by 27 cm, the middle of the lap by less,
+# The optimization has moved the end by 25 cm, the middle of the lap by less,
 # and the start not at all. It spreads the contradiction over all steps. This is
 # more than a jump at the end: a map that is attached to the keyframes moves
 # with them.
@@ -731,10 +731,10 @@ plt.show()
 #
 # <details markdown="1"><summary>Answer</summary>
 #
-# The ATE decreases from 5.4 cm to 5.3 cm: the four corners take most of the
+# The ATE decreases from 7.1 cm to 6.8 cm: the four corners take most of the
 # rotation, as they do in truth, and the straight wings stay straight. A part of
 # the rest is an error of scale: with a free scale, `dv.ate(truth, path,
-# "sim3")`, 5.0 cm remain. One loop says little about the scale of a lap that
+# "sim3")`, 6.3 cm remain. One loop says little about the scale of a lap that
 # ends where it began.
 #
 # </details>
@@ -745,24 +745,24 @@ plt.show()
 #
 # <details markdown="1"><summary>Answer</summary>
 #
-# There are twelve, and the ATE is 5.3 cm (one: 5.4). All of them connect
+# There are twelve, and the ATE is 6.7 cm (one: 7.1). All of them connect
 # the end of the lap with its start, which one loop has done already. The error
 # that remains is in the middle. A second lap would visit it again, and each
 # wing would be connected with itself.
 #
 # </details>
 #
-# **3. How many pairs?** In the loop, 19 of 36 matches are right. With which
+# **3. How many pairs?** In the loop, 20 of 53 matches are right. With which
 # probability does a pair of matches consist of two right ones? After how many
 # pairs has RANSAC drawn one with a probability of 99 %? How many would be
 # necessary with three matches for each pose? Check the answer with `PAIRS`.
 #
 # <details markdown="1"><summary>Answer</summary>
 #
-# The probability is $0.53^2 = 0.28$, so that
-# $n = \log 0.01 / \log(1 - 0.28) = 15$ pairs suffice. With three matches it is
-# $0.53^3 = 0.15$, and $n = 29$. That is what gravity saves, and the reason why
-# 300 pairs are ample here. With 30 pairs, 13 matches agree.
+# The probability is $0.38^2 = 0.14$, so that
+# $n = \log 0.01 / \log(1 - 0.14) = 31$ pairs suffice. With three matches it is
+# $0.38^3 = 0.05$, and $n = 84$. That is what gravity saves, and the reason why
+# 300 pairs are ample here. With 30 pairs, 11 matches agree.
 #
 # </details>
 #
@@ -779,7 +779,7 @@ plt.show()
 # ```
 #
 # **A loop that says too little.** In section 4, let its position be uncertain
-# by 1 m. An error of 28 cm does not contradict that, and most of it stays.
+# by 1 m. An error of 25 cm does not contradict that, and most of it stays.
 #
 # ```python
 # LOOP_SIGMA_M = 1.0
