@@ -15,8 +15,9 @@ import numpy.typing as npt
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.protocol import FrontEnd, PredictingFrontEnd
 from dronevio.estimator.frontend.repetition import RepetitionFilter
+from dronevio.estimator.frontend.rig import measures_depth
 from dronevio.estimator.frontend.rolling_shutter import ExposureCompensation
-from dronevio.estimator.image_selection import MIN_CAMERAS, ImageSelection
+from dronevio.estimator.image_selection import ImageSelection
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
 from dronevio.estimator.imu.preintegration import PreintegrationParams
 from dronevio.estimator.initialization.gauge import BiasPrior
@@ -60,7 +61,7 @@ class MeasurementPipeline:
         self._last_frame_ns: int | None = None
         self._outliers = 0  # of the IMU, up to the newest frame
         self._connection, self._is_left_out = ImageConnection(), False
-        has_depth = len(rig.cameras) >= MIN_CAMERAS
+        has_depth = measures_depth(rig)  # otherwise no image is left out; see `image_selection`
         self._predicting = front_end if isinstance(front_end, PredictingFrontEnd) and has_depth else None
 
     def add_imu(self, samples: ImuSamples) -> ImuSamples:

@@ -24,7 +24,7 @@ class KeyframeConfig(Settings):
     interval_s: Annotated[float, Range(0.01, 5.0)] = 0.2
     """Time between keyframes in motion, to the nearest frame [s]."""
     every_image: bool = False
-    """Whether every image of several cameras is tracked. Otherwise those between keyframes are left out, as long as the
+    """Whether every image of a stereo rig is tracked. Otherwise those between keyframes are left out, as long as the
     image moves slowly and they show the features where they are expected, which takes a tenth less time."""
     min_tracked: Annotated[float, Range(0.0, 1.0)] = 0.6
     """Smallest share of the last keyframe's features that is still tracked. With fewer, the frame becomes a keyframe

@@ -84,12 +84,7 @@ class RigTracker:
         cameras, ids, self._stereo = rig.cameras, count(), stereo or StereoConfig()
         self._tracking = _tracking_cameras(rig)
         self._trackers = [FeatureTracker(cameras[i].model, config, i, ids) for i in self._tracking]
-        self._pairs = tuple(
-            _Pair(k, i, j)
-            for k, i in enumerate(self._tracking)
-            for j in range(i + 1, len(cameras))
-            if shared_view(cameras[j], cameras[i]) > MIN_SHARED_VIEW
-        )
+        self._pairs = _matched_pairs(rig)
         nothing = _InverseDepths(np.zeros(0, np.int64), np.zeros(0))
         self._depths = [nothing] * len(self._pairs)
         self._extrinsics = self._derived(rig)
@@ -228,6 +223,22 @@ def _tracking_cameras(rig: Rig) -> list[int]:
         if all(shared_view(camera, rig.cameras[j]) < MAX_SHARED_VIEW for j in chosen):
             chosen.append(i)
     return chosen
+
+
+def _matched_pairs(rig: Rig) -> tuple[_Pair, ...]:
+    """Return the pairs of a camera that tracks features and a later one in which they are matched."""
+    cameras = rig.cameras
+    return tuple(
+        _Pair(k, i, j)
+        for k, i in enumerate(_tracking_cameras(rig))
+        for j in range(i + 1, len(cameras))
+        if shared_view(cameras[j], cameras[i]) > MIN_SHARED_VIEW
+    )
+
+
+def measures_depth(rig: Rig) -> bool:
+    """Return whether features are matched between cameras of a rig, so that single frames measure depths."""
+    return bool(_matched_pairs(rig))
 
 
 def _merged(observations: Sequence[Observations]) -> Observations:

@@ -8,7 +8,7 @@ import pytest
 
 from dronevio.estimator.backend.keyframes import KeyframeConfig
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.image_selection import MIN_CAMERAS
+from dronevio.estimator.frontend.rig import measures_depth
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.monitoring.stamp_error import StampCorrection
 from dronevio.eval.metrics.alignment import align
@@ -25,7 +25,7 @@ CALM = {"position_rates": np.full((3, 2), 0.4), "angle_rates": np.full((3, 2), 0
 @pytest.fixture(autouse=True)
 def one_camera(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the images of one camera, too: synthetic flights have no other."""
-    monkeypatch.setattr("dronevio.estimator.pipeline.MIN_CAMERAS", 1)
+    monkeypatch.setattr("dronevio.estimator.pipeline.measures_depth", lambda rig: True)
 
 
 def poses(estimates: list[Estimate]) -> Trajectory:
@@ -77,7 +77,7 @@ def test_images_that_show_what_is_expected_are_left_out_at_no_cost(make_flight: 
 
 
 def test_every_image_of_one_camera_is_tracked(make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dronevio.estimator.pipeline.MIN_CAMERAS", MIN_CAMERAS)
+    monkeypatch.setattr("dronevio.estimator.pipeline.measures_depth", measures_depth)
     flight = make_flight(1, rest_s=STATIONARY, duration_s=5.0, motion=CALM)
     front_end = VerifyingFrontEnd(flight)
     flight.run(front_end)

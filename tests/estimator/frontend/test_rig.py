@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.frontend.protocol import FrontEnd
-from dronevio.estimator.frontend.rig import RigTracker
+from dronevio.estimator.frontend.rig import RigTracker, measures_depth
 from dronevio.estimator.frontend.stereo import shared_view
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
 from dronevio.estimator.types import Observations
@@ -300,6 +300,12 @@ def test_cameras_may_lack_an_image(render_wall: RenderWall) -> None:
     after = tracker.replenish()
     assert len(after.matches) > 0.8 * len(before.matches)
     assert np.isin(before.ids, after.ids).mean() > 0.9
+
+
+def test_cameras_measure_depth_where_they_share_the_view() -> None:
+    apart = rig_of((LEFT, np.eye(3), [0, 0, 0]), (RIGHT, exp_so3(np.radians([0.0, 120.0, 0.0])), [0.1, 0, 0]))
+    alone = replace(STEREO, cameras=STEREO.cameras[:1])
+    assert [measures_depth(rig) for rig in (STEREO, apart, alone)] == [True, False, False]
 
 
 def test_shared_view_of_the_named_rigs() -> None:
