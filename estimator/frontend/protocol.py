@@ -69,13 +69,10 @@ class PredictingFrontEnd(FrontEnd, Protocol):
 
         Args:
             frame: The new frame.
-            R_cur_prev: (3, 3) Rotation of the first camera from the previous frame to this one, by the gyroscope.
-            rotation_sigma_rad: Standard deviation of that rotation [rad].
-            rig: The calibration in use; by default the one that the front end was made for.
+            R_cur_prev: As there.
+            rotation_sigma_rad: As there.
+            rig: As there.
             expected: Where features are expected if the frames before have been left out; they are searched there.
-
-        Returns:
-            The tracked features.
         """
 
     def verified(

@@ -130,13 +130,7 @@ class RigTracker:
     def verified(
         self, frame: CameraFrame, expected: ExpectedFeatures, R_cur_prev: Array, rig: Rig | None = None
     ) -> Observations | None:
-        """Return the features that a frame shows where they are expected, if these are most of all.
-
-        Args:
-            frame: The frame after the last one.
-            expected: Where the features are expected.
-            R_cur_prev: (3, 3) Rotation of the first camera from the last frame to this one.
-            rig: The calibration in use; by default the last one.
+        """Return the features that a frame shows where they are expected; see `PredictingFrontEnd.verified`.
 
         Raises:
             ConfigError: As `track`.
