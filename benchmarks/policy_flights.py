@@ -82,7 +82,7 @@ def flown(path: Path, state: State, seed: int) -> FlightResult:
     estimator = TimedEstimator(VisualInertialOdometry(scenario.rig))
     with closing(LiveCameras(scenario.true_rig, scenario.world, scenario.seed, scenario.imaging)) as cameras:
         flight = fly_closed_loop(scenario, estimator, cameras, pilot=pilot, true_state=state == "truth")
-    outcome = policy_outcome(mission, flight, pilot.began_ns)
+    outcome = policy_outcome(mission, flight, pilot.began_ns, pilot.end)
     trajectory, ate_m = estimator.run.trajectory, None
     if len(trajectory) > 1:
         ate_m = score_trajectory(flight.truth, trajectory, flight.frame_times_ns).scores.ate_m.rmse

@@ -16,5 +16,6 @@ class PolicyOutcome:
     distance_m: float | None
     """Distance from the current goal at the end [m]; None if the policy was never in command."""
     end: str
-    """Reason of the end: ``success``, ``time limit``, a failure of the environment such as ``collision`` or ``ground``,
-    ``goals missed`` if the task was accomplished on the estimated path alone, or ``no take-off``."""
+    """Reason of the end: ``success``, ``time limit``, a failure of the environment such as ``collision`` or ``ground``
+    (on the true path or, before it, on the estimated one), ``goals missed`` if the task was accomplished on the
+    estimated path alone, or ``no take-off``."""

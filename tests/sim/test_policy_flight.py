@@ -18,6 +18,7 @@ from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import inverse_pose, quat_wxyz_from_matrix
 from dronevio.models.state import CameraFrame, NavState, Trajectory
 from dronevio.sim.closed_loop.flight import fly_closed_loop
+from dronevio.sim.envs.episodes.endings import Termination
 from dronevio.sim.envs.policies.mission import PolicyMission, policy_mission, policy_outcome
 from dronevio.sim.envs.policies.pilot import PolicyPilot
 from dronevio.sim.envs.tasks import Hover, Race, Waypoints
@@ -74,7 +75,7 @@ def flown(
         pilot=pilot,
         true_state=true_state,
     )
-    return flight, policy_outcome(mission, flight, pilot.began_ns), pilot
+    return flight, policy_outcome(mission, flight, pilot.began_ns, pilot.end), pilot
 
 
 def shortened(policy: Policy, base: Scenario) -> PolicyMission:
@@ -213,6 +214,23 @@ def test_a_flight_without_take_off_has_no_outcome(
 ) -> None:
     outcome = policy_outcome(policy_mission(hovering_policy, base), on_truth[0], None)
     assert (outcome.success, outcome.distance_m, outcome.end) == (False, None, "no take-off")
+
+
+@pytest.mark.parametrize(
+    ("observed", "end"),
+    [
+        (Termination.GROUND, "ground"),
+        (Termination.FLIPPED, "flipped"),
+        (Termination.SUCCESS, "goals missed"),
+        (Termination.NONE, "time limit"),
+    ],
+)
+def test_a_flight_that_ends_on_the_estimate_alone_has_its_reason(
+    on_truth: tuple[Flight, PolicyOutcome], hovering_policy: Policy, base: Scenario, observed: Termination, end: str
+) -> None:
+    mission = replace(policy_mission(hovering_policy, base), task=Hover(episode_s=100.0))
+    outcome = policy_outcome(mission, on_truth[0], mission.begins_ns, observed)
+    assert (outcome.success, outcome.end) == (False, end)
 
 
 def test_goals_are_judged_on_the_true_path(hovering_policy: Policy, base: Scenario) -> None:

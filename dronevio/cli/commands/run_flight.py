@@ -144,7 +144,7 @@ def _flown_live(
     )
     outcome = None
     if mission is not None and pilot is not None:
-        outcome = policy_outcome(mission, flight, pilot.began_ns)
+        outcome = policy_outcome(mission, flight, pilot.began_ns, pilot.end)
     return EstimatedFlight(flight, recording, run, scored, outcome, mapped)
 
 

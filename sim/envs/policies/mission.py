@@ -110,13 +110,17 @@ def policy_mission(
     )
 
 
-def policy_outcome(mission: PolicyMission, flight: Flight, began_ns: int | None) -> PolicyOutcome:
+def policy_outcome(
+    mission: PolicyMission, flight: Flight, began_ns: int | None, observed: Termination = Termination.NONE
+) -> PolicyOutcome:
     """Return the outcome of a flight: the task is judged by the true motion at the times of the actions.
 
     Args:
         mission: The flight as planned.
         flight: The flight as flown.
         began_ns: Time at which the policy took over [ns]; None if it never did.
+        observed: Why the flight ended on the path that the policy observed (`PolicyPilot.end`): the reason if the true
+            path had none until then.
     """
     policy = mission.policy
     if began_ns is None:
@@ -126,7 +130,6 @@ def policy_outcome(mission: PolicyMission, flight: Flight, began_ns: int | None)
     rows = np.arange(int(np.searchsorted(truth.t_ns, began_ns)), len(truth), stride)
     states = _vehicle_states(flight, rows)
     goals, now, t_s, success = mission.goals, states.rows(slice(0, 1)), 0.0, False
-    end = "goals missed" if flight.collision is None else "collision"
     idle, none = np.zeros((1, 4)), np.zeros(1, np.bool_)
     for k in range(1, len(rows)):
         before, now = now, states.rows(slice(k, k + 1))
@@ -141,7 +144,11 @@ def policy_outcome(mission: PolicyMission, flight: Flight, began_ns: int | None)
             end = Termination(reason).text or ("success" if is_done else "time limit")
             break
     else:
-        success = False
+        success, end = False, observed.text or "time limit"
+        if flight.collision is not None:
+            end = Termination.COLLISION.text
+        elif observed is Termination.SUCCESS:
+            end = "goals missed"
     goal = task.objective(goals, np.array([t_s])).position_m[:, 0]
     return PolicyOutcome(policy.environment, success, t_s, float(distance_m(now, goal)[0]), end)
 

@@ -18,7 +18,7 @@ from dronevio.models.protocols import Controller
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.state import CameraFrame, Estimate, NavState
 from dronevio.sim.envs.episodes.actions import action_mode
-from dronevio.sim.envs.episodes.endings import failures
+from dronevio.sim.envs.episodes.endings import Termination, failures
 from dronevio.sim.envs.episodes.randomization import RandomizedParameters
 from dronevio.sim.envs.policies.mission import PolicyMission
 from dronevio.sim.envs.sensing.estimator_loop import Perceived
@@ -94,12 +94,17 @@ class PolicyPilot:
 
     @property
     def finished(self) -> bool:
-        """Whether the flight is over on the path that the policy observes.
+        """Whether the flight is over on the path that the policy observes: `end`, or the time limit of the task."""
+        return self._t_s >= self._mission.task.episode_s - 1e-9 or bool(self.end)
 
-        The task is accomplished, its time limit is reached, or the vehicle is upside down or on the ground.
+    @property
+    def end(self) -> Termination:
+        """Why the flight has ended on the path that the policy observes.
+
+        The task is accomplished, or the vehicle is upside down or on the ground; `Termination.NONE` before, and at the
+        time limit.
         """
-        task, flown = self._mission.task, self._flown
-        return self._t_s >= task.episode_s - 1e-9 or flown.ended
+        return self._flown.end
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Add the IMU samples since the last call."""
@@ -156,12 +161,12 @@ class PolicyPilot:
 
     def _acting(self, flown: "_Flown", state: NavState, now: VehicleStates) -> "_Flown":
         """Return the flight with goals updated by the motion since the last action, and a new action."""
-        mission, goals, nothing, ended = self._mission, flown.goals, np.zeros(1, np.bool_), False
+        mission, goals, nothing, success = self._mission, flown.goals, np.zeros(1, np.bool_), False
         task = mission.task
         if flown.calls:
             step = Transition(flown.before, now, flown.action, flown.action, np.array([self._t_s]), nothing)
             goals = task.advance(goals, step)
-            ended = bool(task.ends_with_success and task.success(goals, step)[0])
+            success = bool(task.ends_with_success and task.success(goals, step)[0])
         observed = ObservedState(
             now,
             self._objective(goals),
@@ -173,8 +178,8 @@ class PolicyPilot:
         )
         observation = {name: one.observe(observed) for name, one in self._named.items()}
         action = np.asarray(mission.policy.action(observation), dtype=np.float64)
-        ended |= bool(failures(now, nothing, nothing, nothing, self._limits)[0])
-        return replace(flown, goals=goals, action=action, before=now, ended=ended)
+        end = Termination(int(failures(now, nothing, nothing, nothing, self._limits)[0]) or success)
+        return replace(flown, goals=goals, action=action, before=now, end=end)
 
     def _objective(self, goals: Any) -> Objective:
         """Return the current and the following goals."""
@@ -197,7 +202,7 @@ class _Flown:
     """State of the inner control loops."""
     before: VehicleStates = field(default_factory=lambda: VehicleStates.at(np.zeros((1, 3))))
     """State at the last action."""
-    ended: bool = False
+    end: Termination = Termination.NONE
     """Whether the task was accomplished, or the vehicle upside down or on the ground, at the last action."""
 
 
