@@ -15,6 +15,7 @@ from dronevio.models.rotation import cross
 
 HYPOTHESES = 96  # a pair without outliers is drawn with a probability of 99.9 % if 70 % are outliers
 CONFIDENCE = 0.999  # probability that one sample of five matches is free of outliers
+MIN_RATIO = 0.37  # of inliers that is looked for, by a thousand samples
 MIN_MATCHES = 8  # with fewer matches, a consensus is not significant
 
 
@@ -64,7 +65,7 @@ def epipolar_inliers(
     return np.asarray(refined if refined.sum() >= is_inlier[best].sum() else is_inlier[best])
 
 
-def essential_inliers(xy0: Array, xy1: Array, threshold: float) -> npt.NDArray[np.bool_]:
+def essential_inliers(xy0: Array, xy1: Array, threshold: float, min_ratio: float) -> npt.NDArray[np.bool_]:
     """Return which matches are consistent with one motion between two frames, rotation unknown.
 
     The motion is the essential matrix of five matches (Nistér, "An efficient solution to the five-point relative pose
@@ -74,14 +75,27 @@ def essential_inliers(xy0: Array, xy1: Array, threshold: float) -> npt.NDArray[n
         xy0: (N, 2) Normalized coordinates in the first frame.
         xy1: (N, 2) Normalized coordinates in the second frame.
         threshold: Largest distance of an inlier from its epipolar line, in normalized coordinates.
+        min_ratio: Ratio of inliers that is to be found; with fewer, a sample of inliers alone may not be drawn.
 
     Returns:
         (N,) True for inliers; false for all matches if there are fewer than `MIN_MATCHES`.
     """
     if len(xy0) < MIN_MATCHES:
         return np.zeros(len(xy0), dtype=np.bool_)
-    _, inliers = cv2.findEssentialMat(xy0, xy1, np.eye(3), cv2.RANSAC, prob=CONFIDENCE, threshold=threshold)
+    _, inliers = cv2.findEssentialMat(
+        xy0, xy1, np.eye(3), cv2.RANSAC, prob=CONFIDENCE, threshold=threshold, maxIters=samples_of_five(min_ratio)
+    )
     return np.zeros(len(xy0), dtype=np.bool_) if inliers is None else np.asarray(inliers[:, 0] == 1)
+
+
+def samples_of_five(inlier_ratio: float) -> int:
+    """Return the number of samples of five matches, one of which is free of outliers with `CONFIDENCE`.
+
+    Args:
+        inlier_ratio: Ratio of inliers; smaller ones than `MIN_RATIO` count as that.
+    """
+    ratio = np.clip(inlier_ratio, MIN_RATIO, 0.99)
+    return int(np.ceil(np.log1p(-CONFIDENCE) / np.log1p(-(ratio**5))))
 
 
 def _bearings(xy: Array) -> Array:

@@ -310,14 +310,15 @@ class FeatureTracker:
         if not len(xy):
             return features
         threshold = self._config.ransac_threshold_px / self._camera.central_focal_px[0]
+        min_ratio = self._config.min_inlier_ratio
         if rotation_sigma_rad > MAX_ROTATION_SIGMA_RAD:
-            inliers = essential_inliers(features.xy, xy, threshold)
-            if inliers.mean() > self._config.min_inlier_ratio:
+            inliers = essential_inliers(features.xy, xy, threshold, min_ratio)
+            if inliers.mean() > min_ratio:
                 return replace(features, xy=xy, ages=features.ages + 1)[inliers]
         threshold += rotation_sigma_rad
         inliers = epipolar_inliers(features.xy, xy, R_cur_prev, threshold, self._rng)
-        if inliers.mean() < self._config.min_inlier_ratio:  # the rotation may be wrong
-            without_rotation = essential_inliers(features.xy, xy, threshold)
-            if without_rotation.mean() > self._config.min_inlier_ratio:
+        if inliers.mean() < min_ratio:  # the rotation may be wrong
+            without_rotation = essential_inliers(features.xy, xy, threshold, min_ratio)
+            if without_rotation.mean() > min_ratio:
                 inliers = without_rotation
         return replace(features, xy=xy, ages=features.ages + 1)[inliers]

@@ -234,6 +234,14 @@ def test_klt_recovers_a_known_shift() -> None:
     assert found.all() and np.median(np.abs(pixels - POINTS - d)) < 0.03
 
 
+def test_klt_does_not_depend_on_the_start() -> None:
+    """A feature that would stay near its starting point would confirm a prediction that is wrong."""
+    d, noisy = np.array([1.3, -0.6]), picture(noise=2.0)
+    target, right = picture(shift=d, noise=2.0, seed=1), POINTS + d
+    found = [klt.track(noisy, target, POINTS, right + e, 11, 3)[0] for e in ([0.4, 0.3], [-0.4, -0.3])]
+    assert np.quantile(np.linalg.norm(found[0] - found[1], axis=1), 0.95) < 0.005
+
+
 def test_brightness_is_matched_only_where_it_differs() -> None:
     source = picture()
     assert klt.match_brightness(source, picture(shift=np.array([1.0, 2.0]))) is source

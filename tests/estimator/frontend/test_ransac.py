@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from dronevio.estimator.frontend.ransac import MIN_MATCHES, epipolar_inliers, essential_inliers
+from dronevio.estimator.frontend.ransac import MIN_MATCHES, epipolar_inliers, essential_inliers, samples_of_five
 from dronevio.models.arrays import Array, Mask
 from dronevio.models.rotation import exp_so3
 
@@ -120,6 +120,11 @@ def test_order_of_matches_does_not_matter() -> None:
 
 def test_essential_matrix_rejects_outliers_without_rotation() -> None:
     xy0, xy1, _, correct = matches(6, outliers=36, noise_px=0.08)
-    kept = essential_inliers(xy0, xy1, THRESHOLD)
+    kept = essential_inliers(xy0, xy1, THRESHOLD, 0.5)
     assert kept[correct].mean() > 0.9 and kept[~correct].mean() < 0.2
-    assert not essential_inliers(xy0[: MIN_MATCHES - 1], xy1[: MIN_MATCHES - 1], THRESHOLD).any()
+    assert not essential_inliers(xy0[: MIN_MATCHES - 1], xy1[: MIN_MATCHES - 1], THRESHOLD, 0.5).any()
+
+
+def test_samples_suffice_for_the_ratio_of_inliers() -> None:
+    """At one half, a sample is free of outliers with a probability of 1/32: 1 - (31/32)^218 = 0.999."""
+    assert [samples_of_five(ratio) for ratio in (0.0, 0.37, 0.5, 1.0)] == [993, 993, 218, 3]
