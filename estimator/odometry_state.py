@@ -38,8 +38,8 @@ class Initializing:
 
     @property
     def searches_offset(self) -> bool:
-        """Whether another time offset is searched for: not at a frame whose time a late attempt has taken."""
-        return self.is_contradicted and not self.initializer.is_busy
+        """Whether another time offset is searched for: once after an attempt that images and IMU contradict."""
+        return self.initializer.searches_offset
 
     @property
     def gyro_bias(self) -> BiasPrior:

@@ -55,7 +55,7 @@ class DynamicInitializationConfig(Settings):
     """Largest length of a second window of a single camera [s], with all frames since the start, which is used if the
     state is not observable in the first. The effect of an acceleration grows with the square of the time."""
     attempt_interval_s: Annotated[float, Range(0.01, 30.0)] = 0.25
-    """Time between the first attempts [s]; later ones are half as frequent."""
+    """Time between the first attempts [s]; later ones are rarer."""
     stereo_window_s: Annotated[float, Range(0.1, 30.0)] = 0.5
     """Length of the window where several cameras observe the same landmarks, which makes the scale observable [s]."""
     max_frames: Annotated[int, Range(3, 200)] = 16

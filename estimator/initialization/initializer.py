@@ -50,8 +50,10 @@ contain a slow rotation."""
 NO_SOLUTION = "images and IMU do not determine the motion: motion sideways past near objects helps"
 """Reason where the smoother finds no solution."""
 EARLY_ATTEMPTS = 16
-"""Number of attempts in motion, within four seconds, after which each takes two frames, and they become half as
-frequent. Where measurements belong together, nearly all starts succeed within them."""
+"""Number of attempts in motion, within four seconds, after which they become rarer, and each has one of the windows.
+Where measurements belong together, nearly all starts succeed within them."""
+LATE_INTERVAL = 3.0
+"""Ratio of the time between later attempts to that between the early ones."""
 NOISE_ROUNDS = 4
 """Largest number of initial adjustments in motion, each with the noise of the IMU that the one before has shown."""
 NOISY_ACCEL_BIAS_SIGMA_M_S2 = 0.03
@@ -85,6 +87,18 @@ class InitializerConfig(Settings):
     def longest_window_s(self) -> float:
         """Longest time between the first frame of an initialization and its last one [s]."""
         return max(self.static_window_s, self.dynamic.max_window_s)
+
+
+@dataclass(frozen=True, eq=False)
+class _BegunAttempt:
+    """The first half of an attempt in motion; the second one follows with the next frame."""
+
+    window: list[FramePacket]
+    """Its frames."""
+    rotation: ObservedRotation
+    """Rotation of the frames, and gyroscope bias."""
+    has_longer: bool
+    """Whether a longer window is tried if it fails."""
 
 
 def not_ready_reason(state: NavState, config: InitializerConfig) -> NotObservable | None:
@@ -126,8 +140,9 @@ class Initializer:
         self._last_attempt_ns: int | None = None
         self._attempts = 0
         self._needs_longer_window = False
-        self._begun: tuple[list[FramePacket], ObservedRotation] | None = None  # the window of a late attempt
+        self._begun: _BegunAttempt | None = None
         self._is_busy = False
+        self._is_new = False  # whether the reason is that of an attempt since the last frame that was not busy
         self._replenished_ns: int | None = None
         self._last_reason = NotObservable("no images so far")
 
@@ -142,9 +157,12 @@ class Initializer:
         return bool(self._last_reason.cause)
 
     @property
-    def is_busy(self) -> bool:
-        """Whether a late attempt took the time of the last frame."""
-        return self._is_busy
+    def searches_offset(self) -> bool:
+        """Whether the time offset of camera and IMU should be searched for: once after an attempt that they contradict.
+
+        Attempts that are divided between two frames have these for themselves.
+        """
+        return self.is_contradicted and self._is_new and not self._is_busy
 
     def needs_features(self, packet: FramePacket) -> bool:
         """Return whether new features should be detected in a frame: if there are few, or at the keyframe interval."""
@@ -154,6 +172,7 @@ class Initializer:
         due = since_ns is None or self._keyframes.is_interval_over(
             (packet.t_ns - since_ns) * 1e-9, frame_s, stationary=False
         )
+        due &= self._begun is None  # otherwise, the time of the frame is that of an attempt
         if due or len(packet.observations) < MIN_FEATURES:
             self._replenished_ns = packet.t_ns
             return True
@@ -181,15 +200,17 @@ class Initializer:
         """
         c, t_ns = self._config, packet.t_ns
         self.collect(packet)
+        self._is_new &= self._is_busy
         self._is_busy = False
         if not packet.has_image:
             return self._last_reason
         begun, self._begun = self._begun, None
         if stationary_s >= MOTION_DETECTION_DELAY_S:  # a shorter time is that between two frames of a slow motion
             return self._static(self._since(t_ns, stationary_s), calibration, gauge, noise)
-        if begun is not None:  # the second half of a late attempt
+        if begun is not None:  # the second half of an attempt
             self._is_busy = True
-            return self._noted(self._dynamic([*begun[0], self._window[-1]], begun[1], calibration, gauge, noise))
+            result = self._dynamic([*begun.window, self._window[-1]], begun.rotation, calibration, gauge, noise)
+            return self._noted(result, has_longer=begun.has_longer)
         stereo = is_stereo(self._window, c.dynamic)
         needed_s = c.dynamic.stereo_window_s if stereo else c.dynamic.window_s
         window, longest = self._since(t_ns, needed_s), self._since(t_ns, c.dynamic.max_window_s)
@@ -204,19 +225,21 @@ class Initializer:
             self._last_attempt_ns, self._attempts = t_ns, self._attempts + 1
             is_longest = is_late and not stereo and self._attempts % 2 == 0
         window = longest if is_longest else window
-        # Late attempts are divided between two frames, and have one of the windows; early ones have both
-        rotation = self._rotation(window, calibration, noise)
-        if is_late and not isinstance(rotation, NotObservable):
-            self._begun, self._is_busy, self._needs_longer_window = (window, rotation), True, False
-            return self._last_reason
-        result = self._dynamic(window, rotation, calibration, gauge, noise)
+        # Early attempts have both windows, late ones one; after the first, each takes two frames if there are enough
         has_longer = not stereo and len(longest) > len(window)
-        self._needs_longer_window = isinstance(result, NotObservable) and has_longer  # at the next frame
-        return self._noted(result)
+        rotation = self._rotation(window, calibration, noise)
+        are_enough = 4.0 * packet.increments.duration_s <= c.dynamic.attempt_interval_s
+        if (is_late or (are_enough and self._attempts > 1)) and not isinstance(rotation, NotObservable):
+            self._begun = _BegunAttempt(window, rotation, has_longer and not is_late)
+            self._is_busy, self._needs_longer_window = True, False
+            return self._last_reason
+        return self._noted(self._dynamic(window, rotation, calibration, gauge, noise), has_longer=has_longer)
 
-    def _noted(self, result: KeyframeSmoother | NotObservable) -> KeyframeSmoother | NotObservable:
-        """Remember the reason against a start, if that is the result of an attempt, and return the result."""
-        self._last_reason = result if isinstance(result, NotObservable) else self._last_reason
+    def _noted(self, result: KeyframeSmoother | NotObservable, *, has_longer: bool) -> KeyframeSmoother | NotObservable:
+        """Return the result of an attempt; a reason against a start is kept, and the longer window tried next."""
+        self._needs_longer_window = False
+        if isinstance(result, NotObservable):
+            self._last_reason, self._needs_longer_window, self._is_new = result, has_longer, True
         return result
 
     def _static(
@@ -300,8 +323,8 @@ class Initializer:
 
     @property
     def _attempt_interval_s(self) -> float:
-        """Time between two attempts in motion, twice that of the settings after `EARLY_ATTEMPTS` [s]."""
-        return self._config.dynamic.attempt_interval_s * (2.0 if self._attempts >= EARLY_ATTEMPTS else 1.0)
+        """Time between two attempts in motion [s]."""
+        return self._config.dynamic.attempt_interval_s * (LATE_INTERVAL if self._attempts >= EARLY_ATTEMPTS else 1.0)
 
     @property
     def _is_window_full(self) -> bool:

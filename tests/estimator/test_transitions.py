@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -244,13 +243,3 @@ def test_images_of_another_place_are_noticed_after_missing_ones(missing: int) ->
         assert packet.has_image is has_image
         connected += [pipeline.is_connected(packet)] if has_image else []
     assert connected == [True, True, False]
-
-
-@pytest.mark.parametrize(
-    ("contradicted", "busy", "searches"), [(True, False, True), (True, True, False), (False, False, False)]
-)
-def test_the_offset_is_not_searched_at_a_frame_of_a_late_attempt(
-    contradicted: bool, busy: bool, searches: bool
-) -> None:
-    initializer: Any = SimpleNamespace(is_contradicted=contradicted, is_busy=busy)
-    assert Initializing(initializer).searches_offset is searches
