@@ -5,8 +5,8 @@ prediction by the IMU is right. While features move slowly enough to be found ag
 between keyframes are compared with the prediction, and left out where they agree. The state at their frames is that of
 the IMU.
 
-Cameras have to measure depths. Otherwise features that are searched where the prediction expects them bias the scale:
-on corridor-easy with one camera and a vibrating IMU, the ATE is 0.5 m instead of 0.1.
+Cameras have to measure depths. With one camera, features of unknown depth are often not found after a gap; in the
+warehouse, the ATE is 41 instead of 30 mm.
 """
 
 import numpy as np
