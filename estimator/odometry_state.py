@@ -38,7 +38,7 @@ class Initializing:
 
     @property
     def searches_offset(self) -> bool:
-        """Whether another time offset is searched for: once after an attempt that images and IMU contradict."""
+        """Whether another time offset of camera and IMU is searched for."""
         return self.initializer.searches_offset
 
     @property

@@ -141,8 +141,7 @@ class Initializer:
         self._attempts = 0
         self._needs_longer_window = False
         self._begun: _BegunAttempt | None = None
-        self._is_busy = False
-        self._is_new = False  # whether the reason is that of an attempt since the last frame that was not busy
+        self._is_busy = False  # whether the last frame had the second half of an attempt
         self._replenished_ns: int | None = None
         self._last_reason = NotObservable("no images so far")
 
@@ -158,11 +157,11 @@ class Initializer:
 
     @property
     def searches_offset(self) -> bool:
-        """Whether the time offset of camera and IMU should be searched for: once after an attempt that they contradict.
+        """Whether the time offset of camera and IMU should be searched for, since they contradict each other.
 
-        Attempts that are divided between two frames have these for themselves.
+        The second half of an attempt, which takes longer, has its frame for itself.
         """
-        return self.is_contradicted and self._is_new and not self._is_busy
+        return self.is_contradicted and not self._is_busy
 
     def needs_features(self, packet: FramePacket) -> bool:
         """Return whether new features should be detected in a frame: if there are few, or at the keyframe interval."""
@@ -200,7 +199,6 @@ class Initializer:
         """
         c, t_ns = self._config, packet.t_ns
         self.collect(packet)
-        self._is_new &= self._is_busy
         self._is_busy = False
         if not packet.has_image:
             return self._last_reason
@@ -231,7 +229,7 @@ class Initializer:
         are_enough = 4.0 * packet.increments.duration_s <= c.dynamic.attempt_interval_s
         if (is_late or (are_enough and self._attempts > 1)) and not isinstance(rotation, NotObservable):
             self._begun = _BegunAttempt(window, rotation, has_longer and not is_late)
-            self._is_busy, self._needs_longer_window = True, False
+            self._needs_longer_window = False
             return self._last_reason
         return self._noted(self._dynamic(window, rotation, calibration, gauge, noise), has_longer=has_longer)
 
@@ -239,7 +237,7 @@ class Initializer:
         """Return the result of an attempt; a reason against a start is kept, and the longer window tried next."""
         self._needs_longer_window = False
         if isinstance(result, NotObservable):
-            self._last_reason, self._needs_longer_window, self._is_new = result, has_longer, True
+            self._last_reason, self._needs_longer_window = result, has_longer
         return result
 
     def _static(
