@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -243,3 +244,9 @@ def test_images_of_another_place_are_noticed_after_missing_ones(missing: int) ->
         assert packet.has_image is has_image
         connected += [pipeline.is_connected(packet)] if has_image else []
     assert connected == [True, True, False]
+
+
+@pytest.mark.parametrize("searches", [True, False])
+def test_before_the_first_state_the_initializer_decides_on_a_search_for_the_offset(searches: bool) -> None:
+    initializer: Any = SimpleNamespace(is_contradicted=True, searches_offset=searches)
+    assert Initializing(initializer).searches_offset is searches

@@ -370,6 +370,23 @@ def test_a_late_attempt_starts_at_its_second_frame(make_flight: MakeFlight, monk
     np.testing.assert_allclose(R.T @ smoother.state.velocity_m_s, R_true.T @ truth.velocity_m_s, atol=0.15)
 
 
+def test_no_features_are_detected_at_the_second_frame_of_an_attempt(
+    make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are every fourth frame, or where there are few; the first attempt is at frame 30."""
+    flight, gauge, due = make_flight(0, rest_s=-5.0, duration_s=3.0), WorldOrigin(0.05, 0.1), list[int]()
+    monkeypatch.setattr(module, "EARLY_ATTEMPTS", 0)
+    monkeypatch.setattr(module, "MIN_FEATURES", 20)
+    initializer, packets = initializer_at(gauge), packets_of(flight, 32)
+    for k, packet in enumerate(packets):
+        due += [k] if k > 2 and initializer.needs_features(packet) else []
+        if k < 31:
+            add(initializer, flight, packet, 0.0, gauge)
+    assert due == [3, 7, 11, 15, 19, 23, 27]
+    few = packets[31].observations.without(packets[31].observations.ids[10:])
+    assert initializer.needs_features(replace(packets[31], observations=few))
+
+
 def test_at_rest_a_late_attempt_is_given_up(make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch) -> None:
     flight, gauge = make_flight(0, rest_s=-5.0, duration_s=3.0), WorldOrigin(0.05, 0.1)
     monkeypatch.setattr(module, "EARLY_ATTEMPTS", 0)
