@@ -52,7 +52,7 @@ NO_SOLUTION = "images and IMU do not determine the motion: motion sideways past 
 EARLY_ATTEMPTS = 16
 """Number of attempts in motion, within four seconds, after which they become rarer, and each has one of the windows.
 Where measurements belong together, nearly all starts succeed within them."""
-LATE_INTERVAL = 3.0
+LATE_INTERVAL = 4.0
 """Ratio of the time between later attempts to that between the early ones."""
 NOISE_ROUNDS = 4
 """Largest number of initial adjustments in motion, each with the noise of the IMU that the one before has shown."""

@@ -321,7 +321,7 @@ def failing_attempts(
 
 
 def test_attempts_are_divided_and_become_rarer(make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sixteen that fail, each with both windows, then a third as many with one window, over two frames but the first.
+    """Sixteen that fail, each with both windows, then a quarter as many with one, over two frames but for the first.
 
     The time offset is searched at other frames than the second one of an attempt.
     """
