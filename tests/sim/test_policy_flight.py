@@ -216,6 +216,16 @@ def test_a_flight_without_take_off_has_no_outcome(
     assert (outcome.success, outcome.distance_m, outcome.end) == (False, None, "no take-off")
 
 
+def test_a_fall_ends_the_flight(hovering_policy: Policy, base: Scenario) -> None:
+    """The policy stops the rotors."""
+    layer = Layer(np.zeros((4, 15), np.float32), np.array([-5.0, 0.0, 0.0, 0.0], np.float32))
+    mission = policy_mission(replace(hovering_policy, network=Network((layer,), "tanh")), base)
+    flight, outcome, pilot = flown(mission, true_state=True)
+    assert pilot.end is Termination.GROUND and pilot.finished
+    assert outcome.end == "ground" and 0.2 < outcome.duration_s < 1.0
+    assert (flight.truth.t_ns[-1] - mission.begins_ns) * 1e-9 < outcome.duration_s + 0.1
+
+
 @pytest.mark.parametrize(
     ("observed", "end"),
     [

@@ -1,7 +1,8 @@
 """Outlier rejection on synthetic matches with known inliers."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 import pytest
 
@@ -125,6 +126,16 @@ def test_essential_matrix_rejects_outliers_without_rotation() -> None:
     assert not essential_inliers(xy0[: MIN_MATCHES - 1], xy1[: MIN_MATCHES - 1], THRESHOLD, 0.5).any()
 
 
-def test_samples_suffice_for_the_ratio_of_inliers() -> None:
+def test_samples_suffice_for_the_ratio_of_inliers(monkeypatch: pytest.MonkeyPatch) -> None:
     """At one half, a sample is free of outliers with a probability of 1/32: 1 - (31/32)^218 = 0.999."""
     assert [samples_of_five(ratio) for ratio in (0.0, 0.37, 0.5, 1.0)] == [993, 993, 218, 3]
+    drawn, find = list[int](), cv2.findEssentialMat
+
+    def counted(*arguments: Any, maxIters: int, **options: Any) -> Any:
+        drawn.append(maxIters)
+        return find(*arguments, maxIters=maxIters, **options)
+
+    monkeypatch.setattr(cv2, "findEssentialMat", counted)
+    xy0, xy1, _, _ = matches(6, outliers=36)
+    essential_inliers(xy0, xy1, THRESHOLD, 0.5)
+    assert drawn == [218]
