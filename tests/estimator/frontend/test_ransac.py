@@ -129,7 +129,8 @@ def test_essential_matrix_rejects_outliers_without_rotation() -> None:
 def test_samples_suffice_for_the_ratio_of_inliers(monkeypatch: pytest.MonkeyPatch) -> None:
     """At one half, a sample is free of outliers with a probability of 1/32: 1 - (31/32)^218 = 0.999."""
     assert [samples_of_five(ratio) for ratio in (0.0, 0.37, 0.5, 1.0)] == [993, 993, 218, 3]
-    drawn, find = list[int](), cv2.findEssentialMat
+    drawn = list[int]()
+    find: Any = cv2.findEssentialMat
 
     def counted(*arguments: Any, maxIters: int, **options: Any) -> Any:
         drawn.append(maxIters)
