@@ -15,7 +15,7 @@ from dronevio.models.rotation import cross
 
 HYPOTHESES = 96  # a pair without outliers is drawn with a probability of 99.9 % if 70 % are outliers
 CONFIDENCE = 0.999  # probability that one sample of five matches is free of outliers
-MIN_RATIO = 0.37  # of inliers that is looked for, by a thousand samples
+MIN_RATIO = 0.37  # of inliers, for which a thousand samples suffice; no more are drawn
 MIN_MATCHES = 8  # with fewer matches, a consensus is not significant
 
 
@@ -75,7 +75,7 @@ def essential_inliers(xy0: Array, xy1: Array, threshold: float, min_ratio: float
         xy0: (N, 2) Normalized coordinates in the first frame.
         xy1: (N, 2) Normalized coordinates in the second frame.
         threshold: Largest distance of an inlier from its epipolar line, in normalized coordinates.
-        min_ratio: Ratio of inliers that is to be found; with fewer, a sample of inliers alone may not be drawn.
+        min_ratio: Smallest ratio of inliers that is of use; it determines the number of samples.
 
     Returns:
         (N,) True for inliers; false for all matches if there are fewer than `MIN_MATCHES`.

@@ -52,8 +52,8 @@ NO_SOLUTION = "images and IMU do not determine the motion: motion sideways past 
 EARLY_ATTEMPTS = 16
 """Number of attempts in motion, within four seconds, after which they become rarer, and each has one of the windows.
 Where measurements belong together, nearly all starts succeed within them."""
-LATE_INTERVAL = 4.0
-"""Ratio of the time between later attempts to that between the early ones."""
+LATE_INTERVAL_RATIO = 4.0
+"""Ratio of the time between late attempts to that between early ones."""
 NOISE_ROUNDS = 4
 """Largest number of initial adjustments in motion, each with the noise of the IMU that the one before has shown."""
 NOISY_ACCEL_BIAS_SIGMA_M_S2 = 0.03
@@ -234,7 +234,7 @@ class Initializer:
         return self._noted(self._dynamic(window, rotation, calibration, gauge, noise), has_longer=has_longer)
 
     def _noted(self, result: KeyframeSmoother | NotObservable, *, has_longer: bool) -> KeyframeSmoother | NotObservable:
-        """Return the result of an attempt; a reason against a start is kept, and the longer window tried next."""
+        """Note the result of an attempt, and return it; if it fails, the longer window is next, where there is one."""
         self._needs_longer_window = False
         if isinstance(result, NotObservable):
             self._last_reason, self._needs_longer_window = result, has_longer
@@ -322,7 +322,9 @@ class Initializer:
     @property
     def _attempt_interval_s(self) -> float:
         """Time between two attempts in motion [s]."""
-        return self._config.dynamic.attempt_interval_s * (LATE_INTERVAL if self._attempts >= EARLY_ATTEMPTS else 1.0)
+        return self._config.dynamic.attempt_interval_s * (
+            LATE_INTERVAL_RATIO if self._attempts >= EARLY_ATTEMPTS else 1.0
+        )
 
     @property
     def _is_window_full(self) -> bool:

@@ -212,7 +212,7 @@ def test_race_starts_before_the_first_gate(hovering_policy: Policy, base: Scenar
 def test_a_flight_without_take_off_has_no_outcome(
     on_truth: tuple[Flight, PolicyOutcome], hovering_policy: Policy, base: Scenario
 ) -> None:
-    outcome = policy_outcome(policy_mission(hovering_policy, base), on_truth[0], None)
+    outcome = policy_outcome(policy_mission(hovering_policy, base), on_truth[0], None, Termination.NONE)
     assert (outcome.success, outcome.distance_m, outcome.end) == (False, None, "no take-off")
 
 

@@ -111,7 +111,7 @@ def policy_mission(
 
 
 def policy_outcome(
-    mission: PolicyMission, flight: Flight, began_ns: int | None, observed: Termination = Termination.NONE
+    mission: PolicyMission, flight: Flight, began_ns: int | None, observed_end: Termination
 ) -> PolicyOutcome:
     """Return the outcome of a flight: the task is judged by the true motion at the times of the actions.
 
@@ -119,8 +119,8 @@ def policy_outcome(
         mission: The flight as planned.
         flight: The flight as flown.
         began_ns: Time at which the policy took over [ns]; None if it never did.
-        observed: Why the flight ended on the path that the policy observed (`PolicyPilot.end`): the reason if the true
-            path had none until then.
+        observed_end: Why the flight ended on the path that the policy observed (`PolicyPilot.end`): the reason if the
+            true path had none until then.
     """
     policy = mission.policy
     if began_ns is None:
@@ -144,10 +144,10 @@ def policy_outcome(
             end = Termination(reason).text or ("success" if is_done else "time limit")
             break
     else:
-        success, end = False, observed.text or "time limit"
+        success, end = False, observed_end.text or "time limit"
         if flight.collision is not None:
             end = Termination.COLLISION.text
-        elif observed is Termination.SUCCESS:
+        elif observed_end is Termination.SUCCESS:
             end = "goals missed"
     goal = task.objective(goals, np.array([t_s])).position_m[:, 0]
     return PolicyOutcome(policy.environment, success, t_s, float(distance_m(now, goal)[0]), end)

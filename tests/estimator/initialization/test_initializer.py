@@ -332,7 +332,7 @@ def test_attempts_are_divided_and_become_rarer(make_flight: MakeFlight, monkeypa
     early = [first + every * k + again for k in range(1, module.EARLY_ATTEMPTS) for again in (0, 2)]
     assert [k for k, _ in begins[: len(early) + 1]] == [first, *early]
     late = begins[len(early) + 1 :]
-    late_every = round(module.LATE_INTERVAL * every)
+    late_every = round(module.LATE_INTERVAL_RATIO * every)
     assert late[0][0] == early[-2] + late_every and len(late) > 5
     np.testing.assert_array_equal(np.diff([k for k, _ in late]), late_every)
     assert ends == [first, *(k + 1 for k, _ in begins[1:])]
