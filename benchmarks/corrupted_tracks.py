@@ -19,7 +19,7 @@ from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.protocol import AtExposure, FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.odometry import VisualInertialOdometry
-from dronevio.estimator.types import Observations
+from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
@@ -57,9 +57,11 @@ class OutlierFrontEnd:
         self._frames += 1
         return self._corrupted(self._inner.track(frame, *motion, **options))
 
-    def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:
+    def replenish(
+        self, calibration: Calibration | None = None, at_exposure_of: AtExposure | None = None
+    ) -> Observations:
         """Detect new features with a calibration, and add the same errors as in `track`."""
-        return self._corrupted(self._inner.replenish(rig, at_exposure_of))
+        return self._corrupted(self._inner.replenish(calibration, at_exposure_of))
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
         """Stop tracking features with the given identities (N,)."""

@@ -32,7 +32,7 @@ import tyro
 from kept_runs import KeptRun, joined
 from measuring import ChangedRecording, Row, anchored, odometry, print_rows, section_of, with_truth
 from sensor_conditions import CONDITIONS
-from truth_errors import TruthErrors, fitted
+from truth_errors import TruthErrors, fitted, is_exact
 
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.consistency import consistency, errors_and_sigmas_m
@@ -94,11 +94,6 @@ class Job:
         """Name of the file of the run."""
         length = "" if self.duration_s is None else f"-{self.duration_s:g}s"
         return f"{self.path.name}-{self.cameras}-{self.condition}-{self.start_s:g}{length}.npz"
-
-    @property
-    def is_simulated(self) -> bool:
-        """Whether the truth of the recording is exact."""
-        return (self.path / "scenario.json").exists()
 
 
 def part_of(recording: Recording, job: Job) -> ChangedRecording:
@@ -246,7 +241,7 @@ def truth_of(path: Path, command: HonestyCommand) -> tuple[Trajectory, TruthErro
     """Return the ground truth of a recording, corrected if it is a measured one, and its errors."""
     _, truth = with_truth(open_recording(path, 1))
     jobs = [Job(path, cameras, "as-is") for cameras in command.cameras]
-    if jobs[0].is_simulated:
+    if is_exact(path):
         return truth, None
     runs = [run_of(job, command.out, command.seed) for job in jobs]
     errors = fitted(truth, [run.trajectory for run in runs if len(run.trajectory) > 2])

@@ -4,7 +4,8 @@ Focal lengths, principal points and the first radial coefficient of all cameras 
 odometry is given. Each recording is estimated from several starts. A row has the RMS position error after the first
 seconds, in which the calibration is estimated (aligned in position and yaw over these frames; geometric mean over the
 starts), its ratio to that by the right calibration, the frames beyond five standard deviations while the health is
-"tracking", the least share of frames that are tracking, and corrections and warning of the first start::
+"tracking", the least share of frames that are tracking, and corrections and warning of the first start. The errors of a
+measured truth are fitted to the runs with the first calibration, printed, and removed (`truth_errors.py`)::
 
     python benchmarks/intrinsics.py V1_02 V2_01 --cameras 1 2
     python benchmarks/intrinsics.py V1_02 --faults right focal+2% --given
@@ -22,6 +23,7 @@ import numpy as np
 import tyro
 from measuring import ChangedRecording, Row, anchored, opened, print_rows, text
 from scipy.stats import gmean
+from truth_errors import TruthErrors, fitted, is_exact
 
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.config import VioConfig
@@ -129,13 +131,16 @@ class Scores:
 def rows_of(path: Path, cameras: int, command: IntrinsicsCommand) -> Iterator[Row]:
     """Yield the rows of a recording."""
     recording, truth = opened(path, cameras)
-    reference = math.nan
+    reference, errors = math.nan, TruthErrors()
     for name in command.faults:
         rig = replace(recording.rig, cameras=tuple(map(FAULTS[name].changed, recording.rig.cameras)))
         given = replace(ChangedRecording.of(recording), rig=rig)
         parts = [excerpt_of(given, start_s) for start_s in command.starts_s]
         runs = [estimate_recording(part, VisualInertialOdometry(rig, config_of(command))) for part in parts]
-        scores = [Scores.of(run, truth, command.begin_s) for run in runs]
+        if name == command.faults[0] and not is_exact(path):
+            errors = fitted(truth, [run.trajectory for run in runs if len(run.trajectory) > 2])
+            print(f"{path.name}: truth corrected by {errors}")
+        scores = [Scores.of(run, errors.corrected(truth), command.begin_s) for run in runs]
         error_m, tracking = float(gmean([s.error_m for s in scores])), min(s.tracking_percent for s in scores)
         reference = error_m if math.isnan(reference) else reference
         warnings = [warning for _, warning in runs[0].warnings]

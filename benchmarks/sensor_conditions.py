@@ -1,8 +1,9 @@
-"""Conditions of a flight that its calibration does not state: noise of the IMU, and images of another size.
+"""Conditions of a flight that its calibration does not state: noise of the IMU, errors of the cameras, and image size.
 
 Of two kinds are those of the IMU: the samples differ from what the calibration states (three times the noise, coloured
 noise, vibration, biases that follow the temperature), or the calibration states a tenth or ten times the noise of the
-same samples. A condition is a function of a recording and of a generator of random numbers.
+same samples. Errors of the cameras' calibration are drawn from the prior of the online calibration, over which its
+covariances hold. A condition is a function of a recording and of a generator of random numbers.
 """
 
 import math
@@ -15,9 +16,11 @@ from faulty_imus import Fault, of_imu, with_values
 from measuring import ChangedRecording
 from scipy.signal import lfilter
 
+from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.rig import RigCamera
+from dronevio.models.rotation import exp_so3
 
 NOISE_FACTOR = 3.0
 """Noise densities and random walks of a noisy IMU, relative to those that are stated."""
@@ -112,6 +115,33 @@ def stated(factor: float) -> Fault:
     return changed
 
 
+def miscalibrated(recording: ChangedRecording, rng: np.random.Generator) -> ChangedRecording:
+    """Return a recording whose cameras have calibration errors, drawn from the prior of the online calibration."""
+    prior, is_single = CalibrationConfig(), len(recording.rig.cameras) == 1
+
+    def wrong(camera: RigCamera) -> RigCamera:
+        m, normal = camera.model, rng.normal
+        ratio = 1.0 + prior.focal.sigma * normal()
+        centre_px = prior.principal.sigma * normal(size=2) * (m.fx, m.fy)
+        k1 = m.distortion[0] + prior.radial.sigma * normal()
+        T_imu_cam = camera.T_imu_cam.copy()
+        T_imu_cam[:3, :3] = exp_so3(prior.rotation.sigma * normal(size=3)) @ T_imu_cam[:3, :3]
+        T_imu_cam[:3, 3] += 0.0 if is_single else prior.position_sigma_m * normal(size=3)
+        model = replace(
+            m,
+            fx=ratio * m.fx,
+            fy=ratio * m.fy,
+            cx=m.cx + centre_px[0],
+            cy=m.cy + centre_px[1],
+            distortion=(k1, *m.distortion[1:]),
+        )
+        return replace(camera, model=model, T_imu_cam=T_imu_cam)
+
+    rig = recording.rig
+    offset_s = rig.time_offset_s + prior.time_offset.sigma * rng.normal()
+    return replace(recording, rig=replace(rig, cameras=tuple(map(wrong, rig.cameras)), time_offset_s=offset_s))
+
+
 def half_size(recording: ChangedRecording, _: np.random.Generator) -> ChangedRecording:
     """Return a recording whose images have half the width and height, each pixel the mean of four."""
 
@@ -146,5 +176,6 @@ CONDITIONS: Mapping[str, Fault] = {
     "stated-10x": stated(10.0),
     "stated-tenth": stated(0.1),
     "half-size": half_size,
+    "miscalibrated": miscalibrated,
 }
 """Conditions by name."""

@@ -8,6 +8,7 @@ fit, so that its first pose does not decide.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -58,6 +59,11 @@ class TruthErrors:
             f"inclination {x:+.1f}, {y:+.1f} mrad, yaw {1e3 * self.yaw_rate_rad_s:+.3f} mrad/s,"
             f" time {1e3 * self.delay_s:+.1f} ms"
         )
+
+
+def is_exact(path: Path) -> bool:
+    """Return whether the truth of a recording folder is exact: that of a simulated flight."""
+    return (path / "scenario.json").exists()
 
 
 def fitted(truth: Trajectory, estimates: Sequence[Trajectory]) -> TruthErrors:

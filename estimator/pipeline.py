@@ -172,18 +172,18 @@ class MeasurementPipeline:
             calibration: The calibration in use.
             may_leave_out: Whether the images may be left out.
         """
-        front_end, rig = self._front_end, calibration.rig
+        front_end = self._front_end
         was_left_out, self._is_left_out = self._is_left_out, False
         if expected is None or self._predicting is None:
-            return front_end.track(frame, R_cur_prev, rotation_sigma_rad, rig)
-        verified = self._predicting.verified(frame, expected, R_cur_prev, rig) if may_leave_out else None
+            return front_end.track(frame, R_cur_prev, rotation_sigma_rad, calibration)
+        verified = self._predicting.verified(frame, expected, R_cur_prev, calibration) if may_leave_out else None
         if verified is None:
             return self._predicting.track(
-                frame, R_cur_prev, rotation_sigma_rad, rig, expected if was_left_out else None
+                frame, R_cur_prev, rotation_sigma_rad, calibration, expected if was_left_out else None
             )
         self._is_left_out = True
-        unseen = replace(frame, images=(NO_IMAGE,) * len(rig.cameras))
-        self._at_frame_time(front_end.track(unseen, R_cur_prev, rotation_sigma_rad, rig), calibration)
+        unseen = replace(frame, images=(NO_IMAGE,) * len(frame.images))
+        self._at_frame_time(front_end.track(unseen, R_cur_prev, rotation_sigma_rad, calibration), calibration)
         return verified
 
     def compare_stamps(self, innovation: Callable[[], Innovation], predicted: NavState) -> None:
@@ -200,10 +200,9 @@ class MeasurementPipeline:
         """Return the newest packet with newly detected features and the matches in further cameras."""
 
         def at_exposure_of(camera: int, features: Observations) -> Array:
-            xy = self._exposure.at_exposure_of(camera, calibration.normalized(features), calibration)
-            return calibration.given_xy(xy, features.camera)
+            return self._exposure.at_exposure_of(camera, calibration.normalized(features), calibration)
 
-        observations = self._front_end.replenish(calibration.rig, at_exposure_of)
+        observations = self._front_end.replenish(calibration, at_exposure_of)
         return replace(packet, observations=self._at_frame_time(observations, calibration))
 
     def is_connected(self, packet: FramePacket) -> bool:

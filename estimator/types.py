@@ -174,12 +174,17 @@ class Calibration:
         Rs, t = self.Ts_imu_cam[:, :3, :3], self.Ts_imu_cam[:, None, :3, 3]
         rays = (p_imu - t) @ Rs
         rays[rays[..., 2] <= 0.0] = np.nan
-        if self.intrinsics is not None:
-            for camera, of_camera in enumerate(rays):
-                xy = of_camera[:, :2] / of_camera[:, 2:]
-                xy = self.given_xy(xy, np.full(len(xy), camera))
-                rays[camera] = np.column_stack([xy, np.ones(len(xy))])
-        return rays
+        return rays if self.intrinsics is None else np.stack([self.given_rays(x, i) for i, x in enumerate(rays)])
+
+    def given_rays(self, rays: Array, camera: int) -> Array:
+        """Return rays (N, 3) of a camera by the given intrinsics, from those by the corrected intrinsics.
+
+        After a correction, rays that point behind the camera are NaN.
+        """
+        if self.intrinsics is None:
+            return rays
+        xy = rays[:, :2] / np.where(rays[:, 2:] > 0.0, rays[:, 2:], np.nan)
+        return np.column_stack([self.given_xy(xy, np.full(len(xy), camera)), np.ones(len(xy))])
 
     def corrected_xy(self, xy: Array, camera: Integers) -> Array:
         """Return normalized coordinates (N, 2) by the corrected intrinsics, from those by the given intrinsics."""

@@ -21,7 +21,7 @@ from dronevio.estimator.frontend.protocol import AtExposure
 from dronevio.estimator.frontend.ransac import epipolar_inliers
 from dronevio.estimator.frontend.tracker import TrackerConfig
 from dronevio.estimator.imu.buffer import Increments
-from dronevio.estimator.types import Observations
+from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.arrays import Array
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples, Times
@@ -117,7 +117,11 @@ class ReplayFrontEnd:
         self._last = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
 
     def track(
-        self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
+        self,
+        frame: CameraFrame,
+        R_cur_prev: Array,
+        rotation_sigma_rad: float = 0.0,
+        calibration: Calibration | None = None,
     ) -> Observations:
         """Return the features of a frame, without those rejected in this or an earlier frame."""
         ids, xy = self._features[self._index[frame.t_ns]]
@@ -135,7 +139,9 @@ class ReplayFrontEnd:
         self._last = Observations(ids[kept], pixels[kept], xy[kept], ages[kept])
         return self._last
 
-    def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:
+    def replenish(
+        self, calibration: Calibration | None = None, at_exposure_of: AtExposure | None = None
+    ) -> Observations:
         """Return the features of the last frame, which already include the new ones of the recording."""
         return self._last
 

@@ -6,22 +6,26 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.types import ExpectedFeatures, Observations
+from dronevio.estimator.types import Calibration, ExpectedFeatures, Observations
 from dronevio.models.arrays import Array, Image, Mask
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
-from dronevio.models.rig import Rig
 from dronevio.models.state import NO_IMAGE, CameraFrame
 
 AtExposure = Callable[[int, Observations], Array]
-"""Function that returns the coordinates (N, 2) of features when another camera, given by its index, is exposed."""
+"""Function that returns the coordinates (N, 2) of features when another camera, given by its index, is exposed, by the
+calibration in use."""
 
 
 class FrontEnd(Protocol):
     """Detects and tracks features in the images of a rig."""
 
     def track(
-        self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
+        self,
+        frame: CameraFrame,
+        R_cur_prev: Array,
+        rotation_sigma_rad: float = 0.0,
+        calibration: Calibration | None = None,
     ) -> Observations:
         """Track the features into a frame.
 
@@ -31,17 +35,19 @@ class FrontEnd(Protocol):
             frame: The new frame.
             R_cur_prev: (3, 3) Rotation of the first camera from the previous frame to this one, by the gyroscope.
             rotation_sigma_rad: Standard deviation of that rotation [rad].
-            rig: The calibration in use; by default the one that the front end was made for.
+            calibration: The calibration in use; by default the one that the front end was made for.
 
         Returns:
             The tracked features.
         """
 
-    def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:
+    def replenish(
+        self, calibration: Calibration | None = None, at_exposure_of: AtExposure | None = None
+    ) -> Observations:
         """Detect new features in the last frame, and match features between cameras.
 
         Args:
-            rig: The calibration in use; by default the one that the front end was made for.
+            calibration: The calibration in use; by default the one that the front end was made for.
             at_exposure_of: Moves features to the exposure of another camera; by default all cameras are exposed at one
                 time.
 
@@ -62,7 +68,7 @@ class PredictingFrontEnd(FrontEnd, Protocol):
         frame: CameraFrame,
         R_cur_prev: Array,
         rotation_sigma_rad: float = 0.0,
-        rig: Rig | None = None,
+        calibration: Calibration | None = None,
         expected: ExpectedFeatures | None = None,
     ) -> Observations:
         """Track the features into a frame; see `FrontEnd.track`.
@@ -71,12 +77,16 @@ class PredictingFrontEnd(FrontEnd, Protocol):
             frame: The new frame.
             R_cur_prev: As there.
             rotation_sigma_rad: As there.
-            rig: As there.
+            calibration: As there.
             expected: Where features are expected if the frames before have been left out; they are searched there.
         """
 
     def verified(
-        self, frame: CameraFrame, expected: ExpectedFeatures, R_cur_prev: Array, rig: Rig | None = None
+        self,
+        frame: CameraFrame,
+        expected: ExpectedFeatures,
+        R_cur_prev: Array,
+        calibration: Calibration | None = None,
     ) -> Observations | None:
         """Return the features that a frame shows where they are expected, if these are most of all.
 
@@ -86,7 +96,7 @@ class PredictingFrontEnd(FrontEnd, Protocol):
             frame: The frame after the last one.
             expected: Where the features are expected.
             R_cur_prev: (3, 3) Rotation of the first camera from the last frame to this one, by the gyroscope.
-            rig: The calibration in use; by default the last one.
+            calibration: The calibration in use; by default the last one.
 
         Returns:
             The features at the expected positions; None where the frame has to be tracked.

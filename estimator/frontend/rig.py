@@ -15,7 +15,7 @@ from dronevio.estimator.frontend.defective_pixels import DefectivePixels
 from dronevio.estimator.frontend.protocol import AtExposure, image_of
 from dronevio.estimator.frontend.stereo import StereoConfig, StereoMatcher, shared_view
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
-from dronevio.estimator.types import NO_MATCHES, ExpectedFeatures, Matches, Observations
+from dronevio.estimator.types import NO_MATCHES, Calibration, ExpectedFeatures, Matches, Observations
 from dronevio.models.arrays import Array, Image, Integers
 from dronevio.models.measurement_checks import check_image_count, check_rig
 from dronevio.models.rig import Rig
@@ -61,7 +61,7 @@ class _InverseDepths:
 class _Extrinsics:
     """What the front end derives from a calibration of the rig."""
 
-    rig: Rig
+    calibration: Calibration
     Rs_cam_first: tuple[Array, ...]  # (3, 3) rotation from the first camera to that of each tracker
     matchers: tuple[StereoMatcher, ...]  # of each pair
 
@@ -87,7 +87,7 @@ class RigTracker:
         self._pairs = _matched_pairs(rig)
         nothing = _InverseDepths(np.zeros(0, np.int64), np.zeros(0))
         self._depths = [nothing] * len(self._pairs)
-        self._extrinsics = self._derived(rig)
+        self._extrinsics = self._derived(Calibration(rig))
         self._cameras = [camera.model for camera in cameras]
         self._defects = tuple(DefectivePixels() for _ in cameras)
         self._images: tuple[Image | None, ...] = ()  # of the last frame, without defective pixels
@@ -97,7 +97,7 @@ class RigTracker:
         frame: CameraFrame,
         R_cur_prev: Array,
         rotation_sigma_rad: float = 0.0,
-        rig: Rig | None = None,
+        calibration: Calibration | None = None,
         expected: ExpectedFeatures | None = None,
     ) -> Observations:
         """Track the features into a frame.
@@ -106,15 +106,15 @@ class RigTracker:
             frame: The new frame. A camera without an image observes nothing.
             R_cur_prev: (3, 3) Rotation of the first camera from the previous frame to this one.
             rotation_sigma_rad: Standard deviation of that rotation [rad].
-            rig: The calibration in use; by default the last one.
+            calibration: The calibration in use; by default the last one.
             expected: Where features are expected, if the frames before have been left out.
 
         Raises:
             ConfigError: There are fewer or more images than cameras, or an image is not uint8 or has not its camera's
                 size.
         """
-        extrinsics = self._use(rig)
-        check_image_count(frame, extrinsics.rig)
+        extrinsics = self._use(calibration)
+        check_image_count(frame, extrinsics.calibration.rig)
         given = [image_of(frame, i, camera) for i, camera in enumerate(self._cameras)]
         self._images = tuple(
             defects.corrected(image, R_cur_prev) for image, defects in zip(given, self._defects, strict=True)
@@ -128,15 +128,19 @@ class RigTracker:
         )
 
     def verified(
-        self, frame: CameraFrame, expected: ExpectedFeatures, R_cur_prev: Array, rig: Rig | None = None
+        self,
+        frame: CameraFrame,
+        expected: ExpectedFeatures,
+        R_cur_prev: Array,
+        calibration: Calibration | None = None,
     ) -> Observations | None:
         """Return the features that a frame shows where they are expected; see `PredictingFrontEnd.verified`.
 
         Raises:
             ConfigError: As `track`.
         """
-        extrinsics = self._use(rig)
-        check_image_count(frame, extrinsics.rig)
+        extrinsics = self._use(calibration)
+        check_image_count(frame, extrinsics.calibration.rig)
         by_camera = [
             tracker.verified(frame, expected, R_cam_first @ R_cur_prev @ R_cam_first.T)
             for tracker, R_cam_first in zip(self._trackers, extrinsics.Rs_cam_first, strict=True)
@@ -145,15 +149,17 @@ class RigTracker:
         seen = _merged([observations for observations, _ in by_camera])
         return seen if known >= MIN_VERIFIED and len(seen) >= VERIFIED_SHARE * known else None
 
-    def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:
+    def replenish(
+        self, calibration: Calibration | None = None, at_exposure_of: AtExposure | None = None
+    ) -> Observations:
         """Detect new features in the last frame, and match all features in the cameras that share the view.
 
         Args:
-            rig: The calibration in use; by default the last one.
+            calibration: The calibration in use; by default the last one.
             at_exposure_of: Moves features to the exposure of another camera; by default all cameras are exposed at one
                 time.
         """
-        extrinsics = self._use(rig)
+        extrinsics = self._use(calibration)
         observations = [tracker.replenish() for tracker in self._trackers]
         if not self._images:
             return _merged(observations)
@@ -175,19 +181,18 @@ class RigTracker:
         for tracker in self._trackers:
             tracker.discard(ids)
 
-    def _use(self, rig: Rig | None) -> _Extrinsics:
+    def _use(self, calibration: Calibration | None) -> _Extrinsics:
         """Return what is derived from the calibration in use, computed anew where the calibration has changed."""
-        if rig is not None and rig is not self._extrinsics.rig:
-            self._extrinsics = self._derived(rig)
+        if calibration is not None and calibration is not self._extrinsics.calibration:
+            self._extrinsics = self._derived(calibration)
         return self._extrinsics
 
-    def _derived(self, rig: Rig) -> _Extrinsics:
-        cameras = rig.cameras
-        R_imu_first = cameras[0].T_imu_cam[:3, :3]
+    def _derived(self, calibration: Calibration) -> _Extrinsics:
+        Rs = calibration.Ts_imu_cam[:, :3, :3]
         return _Extrinsics(
-            rig,
-            tuple(cameras[i].T_imu_cam[:3, :3].T @ R_imu_first for i in self._tracking),
-            tuple(StereoMatcher(cameras[pair.first], cameras[pair.second], self._stereo) for pair in self._pairs),
+            calibration,
+            tuple(Rs[i].T @ Rs[0] for i in self._tracking),
+            tuple(StereoMatcher(calibration, pair.first, pair.second, self._stereo) for pair in self._pairs),
         )
 
     def _match(
@@ -203,7 +208,11 @@ class RigTracker:
         first, second = self._images[pair.first], self._images[pair.second]
         if first is None or second is None:
             return NO_MATCHES
-        xy = tracked.xy if at_exposure_of is None else at_exposure_of(pair.second, tracked)
+        calibration = self._extrinsics.calibration
+        if at_exposure_of is None:
+            xy = calibration.corrected_xy(tracked.xy, tracked.camera)
+        else:
+            xy = at_exposure_of(pair.second, tracked)
         matched = matcher.match(first, second, tracked.pixels, xy, depths.of(tracked.ids))
         ids = tracked.ids[matched.rows]
         self._depths[index] = _InverseDepths(ids, matched.inverse_depth)

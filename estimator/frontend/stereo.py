@@ -20,6 +20,7 @@ import numpy.typing as npt
 from dronevio.estimator.frontend import klt
 from dronevio.estimator.frontend.common_scale import CommonScale
 from dronevio.estimator.frontend.protocol import is_inside
+from dronevio.estimator.types import Calibration
 from dronevio.models.arrays import Array, Image
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import RigCamera
@@ -64,7 +65,7 @@ class StereoMatches:
     pixels: Array
     """(M, 2) Positions in the second image [px]."""
     xy: Array
-    """(M, 2) Undistorted, normalized coordinates in the second camera."""
+    """(M, 2) Undistorted, normalized coordinates in the second camera, by the given intrinsics."""
     inverse_depth: Array
     """(M,) Inverse depths along the optical axis of the first camera [1/m]; 0 where no parallax is measurable."""
 
@@ -72,19 +73,21 @@ class StereoMatches:
 class StereoMatcher:
     """Matches features from one camera of a rig to another."""
 
-    def __init__(self, first: RigCamera, second: RigCamera, config: StereoConfig) -> None:
+    def __init__(self, calibration: Calibration, first: int, second: int, config: StereoConfig) -> None:
         """Derive the relative pose of two cameras.
 
         Args:
-            first: The camera whose features are matched.
-            second: The camera in which they are searched.
+            calibration: The calibration of the rig.
+            first: Index of the camera whose features are matched.
+            second: Index of the camera in which they are searched.
             config: Settings.
         """
-        self._config = config
-        self._second, self._scale = second.model, CommonScale(first.model, second.model)
-        focal_px = second.model.central_focal_px[0] * float(self._scale.second.scale[0])
+        self._config, self._calibration, self._index = config, calibration, second
+        model, second_model = (calibration.rig.cameras[i].model for i in (first, second))
+        self._second, self._scale = second_model, CommonScale(model, second_model)
+        focal_px = second_model.central_focal_px[0] * float(self._scale.second.scale[0])
         self._pixel = 1.0 / focal_px  # of the coarser image
-        T_second_first = inverse_pose(second.T_imu_cam) @ first.T_imu_cam
+        T_second_first = inverse_pose(calibration.Ts_imu_cam[second]) @ calibration.Ts_imu_cam[first]
         self._R, self._t = T_second_first[:3, :3], T_second_first[:3, 3]
         self.is_miscalibrated = False
         """Whether the last matches contradict the relative orientation of the cameras."""
@@ -97,14 +100,15 @@ class StereoMatcher:
             second: Image of the second camera.
             pixels: (N, 2) Positions of the features in the first image [px].
             xy: (N, 2) Undistorted, normalized coordinates of the features in the first camera when the second one is
-                exposed.
+                exposed, by the calibration in use.
             inverse_depth: (N,) Predicted inverse depths along the first camera's optical axis [1/m]; NaN where unknown.
 
         Returns:
             The accepted matches, in the order of the features.
         """
         # Prediction by the known or the median inverse depth
-        predicted = self._second.project(self.rays_in_second(xy, self._filled(pixels, inverse_depth)))
+        rays = self.rays_in_second(xy, self._filled(pixels, inverse_depth))
+        predicted = self._second.project(self._calibration.given_rays(rays, self._index))
         candidates = np.flatnonzero(is_inside(predicted, self._second, self._config.border_px))
         if not len(candidates):
             return StereoMatches(candidates, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
@@ -120,7 +124,8 @@ class StereoMatcher:
         rows, matched = candidates[is_tracked], matched[is_tracked]
         # Rotation of the second camera that is missing in the calibration
         xy_second = self._second.normalize(matched)
-        bearings = np.column_stack([xy_second, np.ones(len(xy_second))])
+        corrected = self._calibration.corrected_xy(xy_second, np.full(len(xy_second), self._index))
+        bearings = np.column_stack([corrected, np.ones(len(corrected))])
         bearings /= np.linalg.norm(bearings, axis=1, keepdims=True)
         bearings = bearings @ exp_so3(self._rotation_correction(xy[rows], bearings)).T
         # Matches near their epipolar lines at an allowed depth
@@ -135,7 +140,7 @@ class StereoMatcher:
 
     def rays_in_second(self, xy: Array, inverse_depth: Array) -> Array:
         """Return rays (N, 3) in the second camera to features (N, 2) of the first at inverse depths (N,) [1/m]."""
-        return np.column_stack([xy, np.ones(len(xy))]) @ self._R.T + inverse_depth[:, None] * self._t
+        return np.asarray(np.column_stack([xy, np.ones(len(xy))]) @ self._R.T + inverse_depth[:, None] * self._t)
 
     def _filled(self, pixels: Array, inverse_depth: Array) -> Array:
         """Return inverse depths (N,) in which unknown values are the median of those of the nearest features."""

@@ -19,11 +19,10 @@ from dronevio.estimator.frontend.corners import CornerConfig, detect_corners
 from dronevio.estimator.frontend.patches import WALK_S, PatchAligner, PatchConfig, Patches, ScaleSpace
 from dronevio.estimator.frontend.protocol import AtExposure, image_of, is_inside
 from dronevio.estimator.frontend.ransac import MIN_MATCHES, epipolar_inliers, essential_inliers
-from dronevio.estimator.types import ExpectedFeatures, Observations, common_rows
+from dronevio.estimator.types import Calibration, ExpectedFeatures, Observations, common_rows
 from dronevio.models.arrays import Array, Image
 from dronevio.models.camera import CameraModel
 from dronevio.models.ranges import Range, Settings
-from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame
 
 OUTSIDE_PX = 1e4  # a finite coordinate outside any image, for predictions behind the camera
@@ -127,7 +126,7 @@ class FeatureTracker:
         frame: CameraFrame,
         R_cur_prev: Array,
         rotation_sigma_rad: float = 0.0,
-        rig: Rig | None = None,
+        calibration: Calibration | None = None,
         expected: ExpectedFeatures | None = None,
     ) -> Observations:
         """Track the features into a frame.
@@ -136,7 +135,7 @@ class FeatureTracker:
             frame: The new frame. Without an image of this camera, the features are kept for the next image.
             R_cur_prev: (3, 3) Rotation of this camera from the previous frame to this one, by the gyroscope.
             rotation_sigma_rad: Standard deviation of that rotation [rad].
-            rig: Not used; the extrinsics of the camera have no influence.
+            calibration: Not used; extrinsics and corrections have no influence.
             expected: Where features are expected, if the frames before have been left out.
 
         Returns:
@@ -192,7 +191,9 @@ class FeatureTracker:
         camera = np.full(len(rows), self._index)
         return Observations(f.ids[rows], pixels[seen], xy, f.ages[rows], camera, zncc=zncc), count
 
-    def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:
+    def replenish(
+        self, calibration: Calibration | None = None, at_exposure_of: AtExposure | None = None
+    ) -> Observations:
         """Add the best new corner of each grid cell without a feature, and return all features of the frame.
 
         The patches of the tracked features are aligned with the frame.

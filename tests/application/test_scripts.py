@@ -76,7 +76,7 @@ class StaticFrontEnd:
         self.age += 1
         return self.replenish()
 
-    def replenish(self, rig: object = None, at_exposure_of: object = None) -> Observations:
+    def replenish(self, calibration: object = None, at_exposure_of: object = None) -> Observations:
         xy = np.zeros((self.n, 2))
         return Observations(np.arange(self.n), xy, xy, np.full(self.n, self.age))
 

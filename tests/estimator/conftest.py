@@ -136,7 +136,11 @@ class SyntheticFrontEnd:
         """Angle of the error of each predicted rotation [rad]."""
 
     def track(
-        self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
+        self,
+        frame: CameraFrame,
+        R_cur_prev: Array,
+        rotation_sigma_rad: float = 0.0,
+        calibration: Calibration | None = None,
     ) -> Observations:
         """Observe the landmarks that are tracked from the previous frame."""
         assert np.allclose(R_cur_prev @ R_cur_prev.T, np.eye(3), atol=1e-9)
@@ -172,7 +176,9 @@ class SyntheticFrontEnd:
             delay_ns = np.rint((row / (self._model.height - 1) - 0.5) * readout_s * 1e9).astype(np.int64)
         return np.asarray(p)
 
-    def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:
+    def replenish(
+        self, calibration: Calibration | None = None, at_exposure_of: AtExposure | None = None
+    ) -> Observations:
         """Observe further visible landmarks, up to the largest number of features."""
         free = np.flatnonzero(self._visible & (self._ids < 0) & self._has_image)
         chosen = free[: max(self._flight.max_features - int((self._ids >= 0).sum()), 0)]
@@ -217,16 +223,20 @@ class VerifyingFrontEnd(SyntheticFrontEnd):
         frame: CameraFrame,
         R_cur_prev: Array,
         rotation_sigma_rad: float = 0.0,
-        rig: Rig | None = None,
+        calibration: Calibration | None = None,
         expected: ExpectedFeatures | None = None,
     ) -> Observations:
         """Observe the landmarks that are tracked from the previous frame, wherever they are expected."""
         if expected is not None:
             self.expected_ns.append(frame.t_ns)
-        return super().track(frame, R_cur_prev, rotation_sigma_rad, rig)
+        return super().track(frame, R_cur_prev, rotation_sigma_rad, calibration)
 
     def verified(
-        self, frame: CameraFrame, expected: ExpectedFeatures, R_cur_prev: Array, rig: Rig | None = None
+        self,
+        frame: CameraFrame,
+        expected: ExpectedFeatures,
+        R_cur_prev: Array,
+        calibration: Calibration | None = None,
     ) -> Observations | None:
         """Return the landmarks that are observed where they are expected, if these are most of all."""
         rows = self._known_rows

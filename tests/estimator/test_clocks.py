@@ -12,12 +12,11 @@ from dronevio.estimator.calibration.calibrator import TIME_OFFSET_FOUND
 from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.monitoring.causes import Cause
 from dronevio.estimator.odometry import VisualInertialOdometry
-from dronevio.estimator.types import Observations
+from dronevio.estimator.types import Calibration, Observations
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements
-from dronevio.models.rig import Rig
 from dronevio.models.rotation import log_so3
 from dronevio.models.state import CameraFrame, Estimate, Health, Trajectory
 
@@ -41,15 +40,19 @@ class Restamped:
         self._front_end, self._exposed_ns = front_end, exposed_ns
 
     def track(
-        self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
+        self,
+        frame: CameraFrame,
+        R_cur_prev: Array,
+        rotation_sigma_rad: float = 0.0,
+        calibration: Calibration | None = None,
     ) -> Observations:
         """Observe the landmarks at the true time."""
         true = replace(frame, t_ns=self._exposed_ns[frame.t_ns])
-        return self._front_end.track(true, R_cur_prev, rotation_sigma_rad, rig)
+        return self._front_end.track(true, R_cur_prev, rotation_sigma_rad, calibration)
 
-    def replenish(self, rig: Rig | None = None, at_exposure_of: object = None) -> Observations:
+    def replenish(self, calibration: Calibration | None = None, at_exposure_of: object = None) -> Observations:
         """Observe further landmarks."""
-        return self._front_end.replenish(rig)
+        return self._front_end.replenish(calibration)
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
         """Stop tracking features."""

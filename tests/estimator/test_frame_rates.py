@@ -14,7 +14,7 @@ from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.monitoring.causes import Cause
 from dronevio.estimator.odometry import VisualInertialOdometry
-from dronevio.estimator.types import Matches, Observations
+from dronevio.estimator.types import Calibration, Matches, Observations
 from dronevio.estimators.driver import estimate_recording
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.errors import ate
@@ -22,7 +22,6 @@ from dronevio.eval.run import EstimatorRun
 from dronevio.models.arrays import Array
 from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2
 from dronevio.models.recordings.open import open_recording
-from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import inverse_pose
 from dronevio.models.state import CameraFrame, Health
@@ -60,13 +59,17 @@ class PlayedFrontEnd:
         self.rng = np.random.default_rng([self.flight.seed, 4])
 
     def track(
-        self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
+        self,
+        frame: CameraFrame,
+        R_cur_prev: Array,
+        rotation_sigma_rad: float = 0.0,
+        calibration: Calibration | None = None,
     ) -> Observations:
         """Observe what the flight shows at the frame that is played."""
         self.now_ns = int(self.flight.frame_times_ns[np.searchsorted(self.played_ns, frame.t_ns)])
         return self.inner.track(replace(frame, t_ns=self.now_ns), R_cur_prev, rotation_sigma_rad)
 
-    def replenish(self, rig: Rig | None = None, at_exposure_of: object = None) -> Observations:
+    def replenish(self, calibration: Calibration | None = None, at_exposure_of: object = None) -> Observations:
         """Observe further landmarks, and match all of them in the second camera."""
         observations, cameras = self.inner.replenish(), self.flight.rig.cameras
         if len(cameras) == 1:

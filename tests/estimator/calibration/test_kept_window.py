@@ -12,7 +12,7 @@ from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.frontend.protocol import AtExposure
 from dronevio.estimator.keyframe_observer import OdometryKeyframe
 from dronevio.estimator.odometry import VisualInertialOdometry
-from dronevio.estimator.types import Matches, Observations
+from dronevio.estimator.types import Calibration, Matches, Observations
 from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements
@@ -68,15 +68,21 @@ class WrongLenses:
         self._t_ns = 0
 
     def track(
-        self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
+        self,
+        frame: CameraFrame,
+        R_cur_prev: Array,
+        rotation_sigma_rad: float = 0.0,
+        calibration: Calibration | None = None,
     ) -> Observations:
         """Return the tracked features."""
         self._t_ns = frame.t_ns
-        return self._normalized(self._front_end.track(frame, R_cur_prev, rotation_sigma_rad, rig))
+        return self._normalized(self._front_end.track(frame, R_cur_prev, rotation_sigma_rad, calibration))
 
-    def replenish(self, rig: Rig | None = None, at_exposure_of: AtExposure | None = None) -> Observations:
+    def replenish(
+        self, calibration: Calibration | None = None, at_exposure_of: AtExposure | None = None
+    ) -> Observations:
         """Return further features, with matches in the second camera."""
-        seen = self._normalized(self._front_end.replenish(rig, at_exposure_of))
+        seen = self._normalized(self._front_end.replenish(calibration, at_exposure_of))
         if len(self._rig.cameras) == 1:
             return seen
         T_world_imu = self._flight.state_at(self._t_ns).T_world_imu

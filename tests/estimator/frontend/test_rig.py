@@ -11,7 +11,7 @@ from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker, measures_depth
 from dronevio.estimator.frontend.stereo import shared_view
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
-from dronevio.estimator.types import Observations
+from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
@@ -219,7 +219,7 @@ def test_miscalibrated_cameras_give_no_depth(render_wall: RenderWall, rotation_d
         assert np.median(error_px) < 0.2 and np.mean(error_px < 1.0) > 0.95  # the matches are correct
     left = seen.without(seen.ids[::2])
     assert len(left.miscalibrated) and not np.isin(left.miscalibrated.ids, seen.ids[::2]).any()
-    seen = tracker.replenish(true_rig)
+    seen = tracker.replenish(Calibration(true_rig))
     assert len(seen.miscalibrated) == 0 and len(seen.matches) > 0.7 * len(seen)
     assert np.median(wall.match_errors_px(seen)) < 0.15
 
@@ -241,7 +241,7 @@ def test_corrected_extrinsics_apply_to_all_trackers(render_wall: RenderWall) -> 
     wall, R = WallSequence(render_wall, true_rig), exp_so3(np.radians([0.0, 0.0, 8.0]))
     for frame, R_cur_prev in ((wall.frame(), np.eye(3)), (wall.frame(pose_matrix(R, np.zeros(3))), R.T)):
         for tracker in trackers:
-            tracker.track(frame, R_cur_prev, rig=true_rig)
+            tracker.track(frame, R_cur_prev, calibration=Calibration(true_rig))
         seen = [tracker.replenish() for tracker in trackers]
         np.testing.assert_array_equal(seen[0].pixels, seen[1].pixels)
     assert np.any(seen[0].camera == 1)

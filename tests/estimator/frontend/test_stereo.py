@@ -7,9 +7,10 @@ import numpy.typing as npt
 
 from dronevio.estimator.frontend import klt
 from dronevio.estimator.frontend.stereo import StereoConfig, StereoMatcher
+from dronevio.estimator.types import Calibration
 from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
-from dronevio.models.rig import RigCamera
+from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import pose_matrix
 
 RenderWall = Callable[[CameraModel, Array], npt.NDArray[np.uint8]]
@@ -29,7 +30,8 @@ def test_matches_lead_back_to_their_features(render_wall: RenderWall) -> None:
     second[60:180, 100:240] = render_wall(PINHOLE, pose_matrix(np.eye(3), np.array([2.0, 1.0, 0.0])))[60:180, 100:240]
     pixels = np.stack(np.meshgrid(np.arange(30.0, 350.0, 6.0), np.arange(20.0, 220.0, 6.0)), axis=-1).reshape(-1, 2)
     xy = PINHOLE.normalize(pixels)
-    found = StereoMatcher(left, right, c).match(first, second, pixels, xy, np.full(len(pixels), 1.0 / WALL_M))
+    matcher = StereoMatcher(Calibration(Rig((left, right))), 0, 1, c)
+    found = matcher.match(first, second, pixels, xy, np.full(len(pixels), 1.0 / WALL_M))
     shifted = pixels - [PINHOLE.fx * BASELINE_M / WALL_M, 0.0]
     is_hidden = np.all((shifted > [112, 72]) & (shifted < [228, 168]), axis=1)
     is_seen = ~np.all((shifted > [90, 50]) & (shifted < [250, 190]), axis=1)
