@@ -145,7 +145,7 @@ class MeasurementPipeline:
         self, increments: Increments, R_cur_prev: Array, since_keyframe_s: float | None, calibration: Calibration
     ) -> bool:
         """Return whether the images of a frame may be left out; see `ImageSelection`."""
-        if self._stamps.is_irregular or increments.is_degraded:
+        if self._stamps.is_irregular or increments.is_degraded or calibration.without_depth:
             since_keyframe_s = None
         needs_flow = self._exposure.longest_delay_s(calibration) > MAX_DELAY_S
         return self._selection.may_leave_out(increments.duration_s, R_cur_prev, since_keyframe_s, needs_flow=needs_flow)
@@ -202,7 +202,7 @@ class MeasurementPipeline:
         def at_exposure_of(camera: int, features: Observations) -> Array:
             return self._exposure.at_exposure_of(camera, calibration.normalized(features), calibration)
 
-        observations = self._front_end.replenish(calibration, at_exposure_of)
+        observations = calibration.usable(self._front_end.replenish(calibration, at_exposure_of))
         return replace(packet, observations=self._at_frame_time(observations, calibration))
 
     def is_connected(self, packet: FramePacket) -> bool:

@@ -32,8 +32,16 @@ class Matches:
 
     def without(self, ids: Integers) -> "Matches":
         """Return the matches without those of the given features."""
-        kept = ~np.isin(self.ids, ids)
-        return Matches(self.ids[kept], self.camera[kept], self.xy[kept])
+        return self.chosen(~np.isin(self.ids, ids))
+
+    def chosen(self, rows: Mask) -> "Matches":
+        """Return the matches of some rows."""
+        return Matches(self.ids[rows], self.camera[rows], self.xy[rows])
+
+    def joined(self, others: "Matches") -> "Matches":
+        """Return these matches followed by others."""
+        pairs = ((getattr(self, name), getattr(others, name)) for name in ("ids", "camera", "xy"))
+        return Matches(*(np.concatenate(pair) for pair in pairs))
 
 
 NO_MATCHES = Matches(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
@@ -134,6 +142,8 @@ class Calibration:
     """Corrections of the intrinsics; none by default."""
     gravity_correction_m_s2: float = 0.0
     """Correction of the magnitude of gravity [m/s²], to be added to the given one."""
+    without_depth: frozenset[int] = frozenset()
+    """Indices of the cameras whose matches do not determine depths, since their calibration is known to be wrong."""
 
     @cached_property
     def timed_rig(self) -> Rig:
@@ -193,6 +203,14 @@ class Calibration:
     def given_xy(self, xy: Array, camera: Integers) -> Array:
         """Return normalized coordinates (N, 2) by the given intrinsics, the inverse of `corrected_xy`."""
         return xy if self.intrinsics is None else self.intrinsics.given_xy(xy, camera)
+
+    def usable(self, observations: Observations) -> Observations:
+        """Return observations in which matches that do not determine depths are flagged as miscalibrated."""
+        if not self.without_depth:
+            return observations
+        bad = np.isin(observations.matches.camera, list(self.without_depth))
+        used, left = (observations.matches.chosen(rows) for rows in (~bad, bad))
+        return replace(observations, matches=used, miscalibrated=observations.miscalibrated.joined(left))
 
     def normalized(self, observations: Observations) -> Observations:
         """Return observations with normalized coordinates by the corrected intrinsics."""

@@ -272,7 +272,7 @@ class KeyframeSmoother:
             state, covariance = corrected, corrected.covariance
         is_same_time = calibration.time_offset_correction_s == self._calibration.time_offset_correction_s
         is_same_lens = calibration.intrinsics is self._calibration.intrinsics
-        observations = self._last_observed[1] if is_same_time and is_same_lens else NO_FEATURES
+        observations = calibration.usable(self._last_observed[1]) if is_same_time and is_same_lens else NO_FEATURES
         return KeyframeSmoother(calibration, self._config, self._landmark_config, state, covariance, observations)
 
     def keyframe_estimates(self) -> tuple[KeyframeEstimate, ...]:

@@ -114,16 +114,18 @@ class Calibrator:
             is_restored: Whether the smoother has begun anew at the keyframe, after a failure of its solver.
             is_degraded: Whether a sensor of the IMU has been saturated, or has had a gap, since the keyframe before.
         """
-        online, was_plausible = self._online, self.is_plausible
+        online, was_plausible, before = self._online, self.is_plausible, self.calibration.without_depth
         if is_restored or is_degraded:
             online.restart()
         if is_degraded or not online.add(
             smoother.state, rate_rad_s, keyframe.preintegrated, keyframe.observations, keyframe.stationary
         ):
             return None
-        # The window is kept, unless the correction determines the newest state by itself, or there is no solution
+        # The window is kept, unless its depths are wrong, the correction determines the newest state by itself, or there
+        # is no solution
         inflation, corrected = online.covariance_inflation, online.corrected_state
-        keeps_window = corrected is None and smoother.recalibrate(self.calibration, inflation)
+        has_depth = self.calibration.without_depth <= before
+        keeps_window = has_depth and corrected is None and smoother.recalibrate(self.calibration, inflation)
         if not keeps_window:
             smoother = smoother.restarted(self.calibration, inflation, corrected)
         self._offset_search = OffsetSearch()

@@ -19,6 +19,14 @@ PARAMETERS_PER_CAMERA = 10
 """Number of parameters of a camera: rotation (3), translation (3), focal length, principal point (2), distortion."""
 
 
+MEAN_RADIUS2 = 0.3
+"""Mean squared radius of image observations, by which a radial distortion acts as a focal length does."""
+MEAN_COORDINATE = 0.4
+"""Root mean square of a normalized image coordinate."""
+MIN_PARALLEL, MIN_BASELINE_M = 0.5, 1e-3
+"""Smallest cosine between the axes of two cameras, and smallest distance across these [m], that measure depths."""
+
+
 @dataclass(frozen=True, eq=False)
 class Corrections:
     """Corrections of time offset, gravity, extrinsics and intrinsics of C cameras, or their standard deviations.
@@ -91,13 +99,44 @@ class Corrections:
 def seen_errors(size: int) -> Array:
     """Return what the first camera shows of errors of a vector of parameters, a matrix (6, size).
 
-    Time offset, rotation of the view about each axis, focal length, and radial distortion. A principal point that is
-    wrong by c turns the view as a rotation by (c_y, -c_x, 0) does.
+    Time offset, and its view; see `view_errors`.
     """
     A = np.zeros((6, size))
-    first = COMMON_PARAMETERS
     A[0, 0] = 1.0
-    A[1:4, first : first + 3] = np.eye(3)
-    A[1, first + 8], A[2, first + 7] = 1.0, -1.0
-    A[4, first + 6] = A[5, first + 9] = 1.0
+    A[1:] = view_errors(size, 0)
+    return A
+
+
+def view_errors(size: int, camera: int) -> Array:
+    """Return what a camera shows of errors of a vector of parameters, a matrix (5, size).
+
+    Rotation of the view about each axis, focal length, and radial distortion. A principal point that is wrong by c
+    turns the view as a rotation by (c_y, -c_x, 0) does.
+    """
+    A, first = np.zeros((5, size)), COMMON_PARAMETERS + PARAMETERS_PER_CAMERA * camera
+    A[:3, first : first + 3] = np.eye(3)
+    A[0, first + 8], A[1, first + 7] = 1.0, -1.0
+    A[3, first + 6] = A[4, first + 9] = 1.0
+    return A
+
+
+def inverse_depth_errors(given: Calibration) -> Array:
+    """Return what errors of a vector of D parameters add to inverse depths by stereo [1/m], a matrix (2 C, D).
+
+    Each camera has two rows. It is compared with the earlier one whose axis is most parallel: by the relative rotation of their views
+    about the axis across the baseline, and by the root mean square over the image of what their focal lengths and
+    distortions differ by. Cameras that share no view with an earlier one have zeros.
+    """
+    Rs, p = given.Ts_imu_cam[:, :3, :3], given.Ts_imu_cam[:, :3, 3]
+    size = COMMON_PARAMETERS + PARAMETERS_PER_CAMERA * len(Rs)
+    A = np.zeros((2 * len(Rs), size))
+    for j in range(1, len(Rs)):
+        i = int(np.argmax(Rs[:j, :, 2] @ Rs[j, :, 2]))
+        across = np.cross(p[j] - p[i], Rs[i, :, 2])
+        length_m = float(np.linalg.norm(across))
+        if Rs[i, :, 2] @ Rs[j, :, 2] < MIN_PARALLEL or length_m < MIN_BASELINE_M:
+            continue
+        of_i, of_j = view_errors(size, i), view_errors(size, j)
+        A[2 * j] = across @ (Rs[j] @ of_j[:3] - Rs[i] @ of_i[:3]) / length_m**2
+        A[2 * j + 1] = MEAN_COORDINATE * ((of_j - of_i)[3] + MEAN_RADIUS2 * (of_j - of_i)[4]) / length_m
     return A

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.calibration.config import CalibrationConfig
-from dronevio.estimator.calibration.corrections import GRAVITY, Corrections, seen_errors
+from dronevio.estimator.calibration.corrections import GRAVITY, MEAN_RADIUS2, Corrections, seen_errors
 from dronevio.estimator.calibration.parameters import ParameterTable
 from dronevio.estimator.calibration.significance import SignificanceTest
 from dronevio.estimator.types import CalibrationSigmas
@@ -21,8 +21,8 @@ from dronevio.models.arrays import Array
 INFLATION_CORRECTION = (5e-3, np.radians(1.0))
 """Corrections of time offset [s], and of rotation [rad] and intrinsics, which turn directions as much, to which
 `CalibrationConfig.inflation_sigmas` correspond."""
-MEAN_RADIUS2 = 0.3
-"""Mean squared radius of image observations, by which a radial distortion acts as a focal length does."""
+MAX_INVERSE_DEPTH_ERROR = 0.02
+"""Largest error of inverse depths by stereo [1/m] that a corrected calibration may have."""
 MIN_INFLATION = 0.03
 """Smallest share of these that is applied, however small a correction is."""
 
@@ -92,7 +92,14 @@ class ParameterEstimate:
         return replace(newest, mean=mean, covariance=covariance)
 
     def corrected(
-        self, mean: Array, covariance: Array, parameters: ParameterTable, test: SignificanceTest, *, is_complete: bool
+        self,
+        mean: Array,
+        covariance: Array,
+        parameters: ParameterTable,
+        test: SignificanceTest,
+        inverse_depth_errors: Array,
+        *,
+        is_complete: bool,
     ) -> "ParameterEstimate | None":
         """Return the estimate with the corrections applied that are significant; None where none is.
 
@@ -101,6 +108,7 @@ class ParameterEstimate:
             covariance: (D, D) Their covariance.
             parameters: The parameters.
             test: Determines what is significant.
+            inverse_depth_errors: (n, D) What errors of the parameters add to inverse depths by stereo [1/m].
             is_complete: Whether the adjustment is that of a complete window, so that its result is kept.
         """
         difference, follows, is_corrected = mean - self.applied, self.follows.copy(), False
@@ -109,6 +117,10 @@ class ParameterEstimate:
                 follows[group.rows] = is_corrected = True
         if not is_corrected:
             return None
+        # Rotations and intrinsics of several cameras together, if corrections of some would leave wrong depths
+        left = np.where(follows, 0.0, difference)
+        if (np.abs(inverse_depth_errors @ left) > MAX_INVERSE_DEPTH_ERROR).any():
+            follows |= parameters.is_of_images
         mean, covariance = with_wider_prior(mean, covariance, parameters.sigmas, follows & ~self.follows)
         applied, change = np.where(follows, mean, self.applied), np.where(follows, mean - self.applied, 0.0)
         is_plausible = self.is_plausible and bool((np.abs(applied) <= parameters.limits).all())

@@ -15,6 +15,7 @@ intrinsics turn out to be very wrong.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import gtsam
 import numpy as np
@@ -22,8 +23,13 @@ import numpy as np
 from dronevio.estimator.calibration.adjustment import CalibrationProblem
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrected_state import propagated_state
-from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
-from dronevio.estimator.calibration.estimate import ParameterEstimate, covariance_inflation, inflation_share
+from dronevio.estimator.calibration.corrections import GRAVITY, Corrections, inverse_depth_errors
+from dronevio.estimator.calibration.estimate import (
+    MAX_INVERSE_DEPTH_ERROR,
+    ParameterEstimate,
+    covariance_inflation,
+    inflation_share,
+)
 from dronevio.estimator.calibration.objective import CalibrationObjective
 from dronevio.estimator.calibration.parameters import ParameterTable
 from dronevio.estimator.calibration.significance import SignificanceTest
@@ -61,6 +67,11 @@ class CalibrationPrior:
     """The parameters of its corrections."""
     config: CalibrationConfig
     """Settings of the online calibration."""
+
+    @cached_property
+    def inverse_depth_errors(self) -> Array:
+        """(2 C, D) What errors of the parameters add to inverse depths by stereo; see `inverse_depth_errors`."""
+        return inverse_depth_errors(self.given)
 
     def problem(
         self, window: CalibrationWindow, estimate: ParameterEstimate, config: AdjustmentConfig
@@ -288,6 +299,7 @@ class OnlineCalibration:
         if window.begins_stationary:
             mean[GRAVITY] = self._estimate.mean[GRAVITY]
         self._estimate = self._estimate.fused(mean, covariance, is_complete=window.is_complete)
+        self._calibration = self._with_depth(self._calibration)
         # Significance test of each group of parameters
         c, cameras = self._prior.config, len(self._prior.given.rig.cameras)
         begins, is_complete = window.begins_stationary, window.is_complete
@@ -310,14 +322,21 @@ class OnlineCalibration:
     def _apply(self, mean: Array, covariance: Array, test: SignificanceTest, *, is_complete: bool) -> bool:
         """Apply the corrections that are significant, and return whether there are any."""
         parameters = self._prior.parameters
-        corrected = self._estimate.corrected(mean, covariance, parameters, test, is_complete=is_complete)
+        errors = self._prior.inverse_depth_errors
+        corrected = self._estimate.corrected(mean, covariance, parameters, test, errors, is_complete=is_complete)
         if corrected is None:
             return False
-        self._estimate, self._calibration = (
-            corrected,
-            Corrections.from_vector(corrected.applied).applied_to(self._prior.given),
-        )
+        self._estimate = corrected
+        self._calibration = self._with_depth(Corrections.from_vector(corrected.applied).applied_to(self._prior.given))
         return True
+
+    def _with_depth(self, calibration: Calibration) -> Calibration:
+        """Return a calibration with the cameras that do not determine depths; the given one presumes that all do."""
+        estimate, prior = self._estimate, self._prior
+        errors = estimate.errors(prior.inverse_depth_errors).reshape(-1, 2).max(axis=1)
+        is_refuted = (estimate.follows & prior.parameters.is_of_images).any()
+        without = frozenset(np.flatnonzero((errors > MAX_INVERSE_DEPTH_ERROR) & is_refuted).tolist())
+        return calibration if without == calibration.without_depth else replace(calibration, without_depth=without)
 
 
 def _inverse(matrix: Array) -> Array:

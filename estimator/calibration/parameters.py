@@ -1,6 +1,7 @@
 """The parameters of the online calibration: their priors, and which of them are corrected together."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -83,6 +84,14 @@ class ParameterTable:
     def is_unknown(self) -> npt.NDArray[np.bool_]:
         """(D,) Whether a parameter is an unknown of the adjustments, corrected or not."""
         return self.sigmas > FIXED_SIGMA
+
+    @cached_property
+    def is_of_images(self) -> npt.NDArray[np.bool_]:
+        """(D,) Whether a parameter is a rotation or an intrinsic of a camera that is corrected."""
+        found = np.zeros(len(self.sigmas), np.bool_)
+        for group in self.groups:
+            found[group.rows] = group.is_rotation or group.is_intrinsic
+        return found
 
     def refutes_intrinsics(self, change: Array) -> bool:
         """Return whether a change (D,) shows that intrinsics were very wrong."""

@@ -61,7 +61,7 @@ class AdjustmentConfig(Settings):
     """Smallest parallax of a landmark [°]."""
     max_reprojection_px: Annotated[float, Range(above=0.0)] = 15.0
     """Largest root mean square reprojection error of a landmark before the adjustment [px]."""
-    iterations: Annotated[int, Range(1, 50)] = 3
+    iterations: Annotated[int, Range(1, 50)] = 12
     """Largest number of Gauss-Newton steps."""
     max_decrement: Annotated[float, Range(low=0.0)] = 0.2
     """Squared length of a step in standard deviations (Newton decrement), per unknown, below which it is the last one:

@@ -7,6 +7,7 @@ cameras are corrected before.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import count
 
 import numpy as np
@@ -263,7 +264,4 @@ def _merged(observations: Sequence[Observations]) -> Observations:
 
 def _joined(matches: Sequence[Matches]) -> Matches:
     """Return the matches of several pairs as one."""
-    if not matches:
-        return NO_MATCHES
-    ids, camera, xy = ([getattr(each, name) for each in matches] for name in ("ids", "camera", "xy"))
-    return Matches(np.concatenate(ids), np.concatenate(camera), np.concatenate(xy))
+    return reduce(Matches.joined, matches, NO_MATCHES)
