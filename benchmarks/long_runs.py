@@ -21,7 +21,7 @@ import tyro
 
 from dronevio.cli.terminal import print_table
 from dronevio.estimator.odometry import VisualInertialOdometry
-from dronevio.estimator.types import Observations
+from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.arrays import Array
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples
 from dronevio.models.rig import Rig, euroc_rig
@@ -84,7 +84,7 @@ class Landmarks:
         self._ages = np.where(self._ids >= 0, self._ages + 1, 0)
         return self._observations()
 
-    def replenish(self, rig: Rig | None = None, at_exposure_of: object = None) -> Observations:
+    def replenish(self, calibration: Calibration | None = None, at_exposure_of: object = None) -> Observations:
         """Observe further landmarks."""
         free = np.flatnonzero(self._visible & (self._ids < 0))[: max(80 - int((self._ids >= 0).sum()), 0)]
         self._ids[free], self._ages[free] = self._next + np.arange(len(free)), 1

@@ -121,8 +121,8 @@ class Calibrator:
             smoother.state, rate_rad_s, keyframe.preintegrated, keyframe.observations, keyframe.stationary
         ):
             return None
-        # The window is kept, unless its depths are wrong, the correction determines the newest state by itself, or there
-        # is no solution
+        # The window is kept, unless its depths are wrong, the correction determines the newest state, or there is no
+        # solution
         inflation, corrected = online.covariance_inflation, online.corrected_state
         has_depth = self.calibration.without_depth <= before
         keeps_window = has_depth and corrected is None and smoother.recalibrate(self.calibration, inflation)

@@ -23,6 +23,8 @@ MEAN_RADIUS2 = 0.3
 """Mean squared radius of image observations, by which a radial distortion acts as a focal length does."""
 MEAN_COORDINATE = 0.4
 """Root mean square of a normalized image coordinate."""
+ROWS_PER_CAMERA = 2
+"""Number of rows of a camera in the matrix of `inverse_depth_errors`."""
 MIN_PARALLEL, MIN_BASELINE_M = 0.5, 1e-3
 """Smallest cosine between the axes of two cameras, and smallest distance across these [m], that measure depths."""
 
@@ -123,13 +125,13 @@ def view_errors(size: int, camera: int) -> Array:
 def inverse_depth_errors(given: Calibration) -> Array:
     """Return what errors of a vector of D parameters add to inverse depths by stereo [1/m], a matrix (2 C, D).
 
-    Each camera has two rows. It is compared with the earlier one whose axis is most parallel: by the relative rotation of their views
-    about the axis across the baseline, and by the root mean square over the image of what their focal lengths and
-    distortions differ by. Cameras that share no view with an earlier one have zeros.
+    Each camera has two rows. It is compared with the earlier one whose axis is most parallel: by the relative rotation
+    of their views about the axis across the baseline, and by the root mean square over the image of what their focal
+    lengths and distortions differ by. Cameras that share no view with an earlier one have zeros.
     """
     Rs, p = given.Ts_imu_cam[:, :3, :3], given.Ts_imu_cam[:, :3, 3]
     size = COMMON_PARAMETERS + PARAMETERS_PER_CAMERA * len(Rs)
-    A = np.zeros((2 * len(Rs), size))
+    A = np.zeros((ROWS_PER_CAMERA * len(Rs), size))
     for j in range(1, len(Rs)):
         i = int(np.argmax(Rs[:j, :, 2] @ Rs[j, :, 2]))
         across = np.cross(p[j] - p[i], Rs[i, :, 2])
@@ -137,6 +139,6 @@ def inverse_depth_errors(given: Calibration) -> Array:
         if Rs[i, :, 2] @ Rs[j, :, 2] < MIN_PARALLEL or length_m < MIN_BASELINE_M:
             continue
         of_i, of_j = view_errors(size, i), view_errors(size, j)
-        A[2 * j] = across @ (Rs[j] @ of_j[:3] - Rs[i] @ of_i[:3]) / length_m**2
-        A[2 * j + 1] = MEAN_COORDINATE * ((of_j - of_i)[3] + MEAN_RADIUS2 * (of_j - of_i)[4]) / length_m
+        A[ROWS_PER_CAMERA * j] = across @ (Rs[j] @ of_j[:3] - Rs[i] @ of_i[:3]) / length_m**2
+        A[ROWS_PER_CAMERA * j + 1] = MEAN_COORDINATE * ((of_j - of_i)[3] + MEAN_RADIUS2 * (of_j - of_i)[4]) / length_m
     return A

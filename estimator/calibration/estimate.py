@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.calibration.config import CalibrationConfig
-from dronevio.estimator.calibration.corrections import GRAVITY, MEAN_RADIUS2, Corrections, seen_errors
+from dronevio.estimator.calibration.corrections import GRAVITY, MEAN_RADIUS2, ROWS_PER_CAMERA, Corrections, seen_errors
 from dronevio.estimator.calibration.parameters import ParameterTable
 from dronevio.estimator.calibration.significance import SignificanceTest
 from dronevio.estimator.types import CalibrationSigmas
@@ -64,6 +64,16 @@ class ParameterEstimate:
         offset_s, *view_rad, focal, radial = self.errors(seen_errors(len(self.mean)))
         return CalibrationSigmas(float(offset_s), float(max(view_rad)), float(np.hypot(focal, MEAN_RADIUS2 * radial)))
 
+    def cameras_without_depth(self, parameters: ParameterTable) -> frozenset[int]:
+        """Return the indices of the cameras whose matches do not determine depths.
+
+        The given calibration is presumed to determine them until images refute it; from then on, it must be known.
+        """
+        if not (self.follows & parameters.is_of_images).any():
+            return frozenset()
+        errors = self.errors(parameters.inverse_depth_errors)
+        return frozenset((np.flatnonzero(errors > MAX_INVERSE_DEPTH_ERROR) // ROWS_PER_CAMERA).tolist())
+
     @classmethod
     def prior(cls, parameters: ParameterTable) -> "ParameterEstimate":
         """Return the estimate before any window."""
@@ -92,14 +102,7 @@ class ParameterEstimate:
         return replace(newest, mean=mean, covariance=covariance)
 
     def corrected(
-        self,
-        mean: Array,
-        covariance: Array,
-        parameters: ParameterTable,
-        test: SignificanceTest,
-        inverse_depth_errors: Array,
-        *,
-        is_complete: bool,
+        self, mean: Array, covariance: Array, parameters: ParameterTable, test: SignificanceTest, *, is_complete: bool
     ) -> "ParameterEstimate | None":
         """Return the estimate with the corrections applied that are significant; None where none is.
 
@@ -108,7 +111,6 @@ class ParameterEstimate:
             covariance: (D, D) Their covariance.
             parameters: The parameters.
             test: Determines what is significant.
-            inverse_depth_errors: (n, D) What errors of the parameters add to inverse depths by stereo [1/m].
             is_complete: Whether the adjustment is that of a complete window, so that its result is kept.
         """
         difference, follows, is_corrected = mean - self.applied, self.follows.copy(), False
@@ -117,9 +119,9 @@ class ParameterEstimate:
                 follows[group.rows] = is_corrected = True
         if not is_corrected:
             return None
-        # Rotations and intrinsics of several cameras together, if corrections of some would leave wrong depths
+        # Rotations and intrinsics together, if corrections of some of them would leave wrong depths
         left = np.where(follows, 0.0, difference)
-        if (np.abs(inverse_depth_errors @ left) > MAX_INVERSE_DEPTH_ERROR).any():
+        if (np.abs(parameters.inverse_depth_errors @ left) > MAX_INVERSE_DEPTH_ERROR).any():
             follows |= parameters.is_of_images
         mean, covariance = with_wider_prior(mean, covariance, parameters.sigmas, follows & ~self.follows)
         applied, change = np.where(follows, mean, self.applied), np.where(follows, mean - self.applied, 0.0)

@@ -15,7 +15,6 @@ intrinsics turn out to be very wrong.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import gtsam
 import numpy as np
@@ -24,12 +23,7 @@ from dronevio.estimator.calibration.adjustment import CalibrationProblem
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrected_state import propagated_state
 from dronevio.estimator.calibration.corrections import GRAVITY, Corrections, inverse_depth_errors
-from dronevio.estimator.calibration.estimate import (
-    MAX_INVERSE_DEPTH_ERROR,
-    ParameterEstimate,
-    covariance_inflation,
-    inflation_share,
-)
+from dronevio.estimator.calibration.estimate import ParameterEstimate, covariance_inflation, inflation_share
 from dronevio.estimator.calibration.objective import CalibrationObjective
 from dronevio.estimator.calibration.parameters import ParameterTable
 from dronevio.estimator.calibration.significance import SignificanceTest
@@ -67,11 +61,6 @@ class CalibrationPrior:
     """The parameters of its corrections."""
     config: CalibrationConfig
     """Settings of the online calibration."""
-
-    @cached_property
-    def inverse_depth_errors(self) -> Array:
-        """(2 C, D) What errors of the parameters add to inverse depths by stereo; see `inverse_depth_errors`."""
-        return inverse_depth_errors(self.given)
 
     def problem(
         self, window: CalibrationWindow, estimate: ParameterEstimate, config: AdjustmentConfig
@@ -129,8 +118,9 @@ class OnlineCalibration:
             config: Settings.
             gravity_m_s2: Given magnitude of gravity [m/s²].
         """
-        c, cameras = config or CalibrationConfig(), len(rig.cameras)
-        self._prior = CalibrationPrior(Calibration(rig), gravity_m_s2, ParameterTable.of(c, cameras), c)
+        c, cameras, given = config or CalibrationConfig(), len(rig.cameras), Calibration(rig)
+        parameters = ParameterTable.of(c, cameras, inverse_depth_errors(given))
+        self._prior = CalibrationPrior(given, gravity_m_s2, parameters, c)
         self._estimate, self._calibration = ParameterEstimate.prior(self._prior.parameters), self._prior.given
         self._collected = NO_KEYFRAMES
         self._stage: Idle | Collected | Adjusting = Idle()
@@ -322,8 +312,7 @@ class OnlineCalibration:
     def _apply(self, mean: Array, covariance: Array, test: SignificanceTest, *, is_complete: bool) -> bool:
         """Apply the corrections that are significant, and return whether there are any."""
         parameters = self._prior.parameters
-        errors = self._prior.inverse_depth_errors
-        corrected = self._estimate.corrected(mean, covariance, parameters, test, errors, is_complete=is_complete)
+        corrected = self._estimate.corrected(mean, covariance, parameters, test, is_complete=is_complete)
         if corrected is None:
             return False
         self._estimate = corrected
@@ -331,11 +320,8 @@ class OnlineCalibration:
         return True
 
     def _with_depth(self, calibration: Calibration) -> Calibration:
-        """Return a calibration with the cameras that do not determine depths; the given one presumes that all do."""
-        estimate, prior = self._estimate, self._prior
-        errors = estimate.errors(prior.inverse_depth_errors).reshape(-1, 2).max(axis=1)
-        is_refuted = (estimate.follows & prior.parameters.is_of_images).any()
-        without = frozenset(np.flatnonzero((errors > MAX_INVERSE_DEPTH_ERROR) & is_refuted).tolist())
+        """Return a calibration with the cameras that do not determine depths."""
+        without = self._estimate.cameras_without_depth(self._prior.parameters)
         return calibration if without == calibration.without_depth else replace(calibration, without_depth=without)
 
 

@@ -50,10 +50,13 @@ class ParameterTable:
     """(D,) Largest plausible corrections."""
     walk: Array
     """(D,) Random walk, per √s."""
+    inverse_depth_errors: Array
+    """(2 C, D) What errors of the parameters add to inverse depths by stereo; see `corrections.inverse_depth_errors`.
+    """
 
     @classmethod
-    def of(cls, config: CalibrationConfig, cameras: int) -> "ParameterTable":
-        """Return the parameters of a number of cameras.
+    def of(cls, config: CalibrationConfig, cameras: int, inverse_depth_errors: Array | None = None) -> "ParameterTable":
+        """Return the parameters of a number of cameras, by default of cameras that share no view.
 
         The positions of several cameras have a prior also where they are not corrected: errors that stereo matches have
         in common look like another direction of the baseline.
@@ -78,7 +81,8 @@ class ParameterTable:
         corrected = tuple(group for group in groups if group.config.online)
         for group in corrected:
             sigmas[group.rows], walk[group.rows] = group.config.sigma, group.config.walk
-        return cls(corrected, sigmas, config.max_correction_sigmas * sigmas, walk)
+        A = np.zeros((0, len(sigmas))) if inverse_depth_errors is None else inverse_depth_errors
+        return cls(corrected, sigmas, config.max_correction_sigmas * sigmas, walk, A)
 
     @property
     def is_unknown(self) -> npt.NDArray[np.bool_]:

@@ -18,8 +18,7 @@ from dronevio.models.state import Estimate, Health, NavState, Trajectory
 from tests.estimator.conftest import START_NS, SyntheticFrontEnd
 
 if TYPE_CHECKING:
-    from dronevio.estimator.types import Observations
-    from dronevio.models.rig import Rig
+    from dronevio.estimator.types import Calibration, Observations
     from dronevio.models.state import CameraFrame
     from tests.estimator.conftest import SyntheticFlight
 
@@ -164,11 +163,11 @@ class DelayedFrontEnd(SyntheticFrontEnd):
         frame: "CameraFrame",
         R_cur_prev: Array,
         rotation_sigma_rad: float = 0.0,
-        rig: "Rig | None" = None,
+        calibration: "Calibration | None" = None,
     ) -> "Observations":
         """Observe the landmarks at the frame's exposure."""
         exposed = replace(frame, t_ns=self._exposed_ns[frame.t_ns])
-        return super().track(exposed, R_cur_prev, rotation_sigma_rad, rig)
+        return super().track(exposed, R_cur_prev, rotation_sigma_rad, calibration)
 
 
 def estimated(
