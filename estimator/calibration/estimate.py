@@ -113,17 +113,18 @@ class ParameterEstimate:
             test: Determines what is significant.
             is_complete: Whether the adjustment is that of a complete window, so that its result is kept.
         """
-        difference, follows, is_corrected = mean - self.applied, self.follows.copy(), False
+        difference, is_wrong = mean - self.applied, np.zeros(len(mean), np.bool_)
         for group in parameters.groups:
-            if test.is_passed(group, difference, covariance, is_first=not self.follows[group.rows[0]]):
-                follows[group.rows] = is_corrected = True
-        if not is_corrected:
+            is_first = not self.follows[group.rows[0]]
+            is_wrong[group.rows] = test.is_passed(group, difference, covariance, is_first=is_first)
+        if not is_wrong.any():
             return None
         # Rotations and intrinsics together, if corrections of some of them would leave wrong depths
+        follows = self.follows | is_wrong
         left = np.where(follows, 0.0, difference)
         if (np.abs(parameters.inverse_depth_errors @ left) > MAX_INVERSE_DEPTH_ERROR).any():
             follows |= parameters.is_of_images
-        mean, covariance = with_wider_prior(mean, covariance, parameters.sigmas, follows & ~self.follows)
+        mean, covariance = with_wider_prior(mean, covariance, parameters.sigmas, is_wrong & ~self.follows)
         applied, change = np.where(follows, mean, self.applied), np.where(follows, mean - self.applied, 0.0)
         is_plausible = self.is_plausible and bool((np.abs(applied) <= parameters.limits).all())
         known = self.fused(mean, covariance, is_complete=is_complete)

@@ -28,6 +28,9 @@ from dronevio.models.rotation import cross, exp_so3, inverse_pose
 
 ITERATIONS = 10
 """Number of iterations of weighted least squares; later ones change residuals by far less than a pixel."""
+MIN_SHARE = 0.1
+"""Smallest share of the features in view of the second camera that are matched. Fewer agree by chance, where an error
+of the calibration leads the search elsewhere; with real images, a third is matched at least."""
 NOISE_PX = 0.3
 """Distance of a correct match from its epipolar line that noise alone explains [px]."""
 
@@ -136,6 +139,7 @@ class StereoMatcher:
             valid = np.abs(epipolar_error) < self._config.max_epipolar_error_px * pixel
             valid &= ((depth > -half_pixel_m) & (depth < 1.0 / self._config.min_depth_m)) | self.is_miscalibrated
         valid &= np.isfinite(xy_second).all(axis=1)
+        valid &= valid.sum() >= MIN_SHARE * len(candidates)
         return StereoMatches(rows[valid], matched[valid], xy_second[valid], np.maximum(depth[valid], 0.0))
 
     def rays_in_second(self, xy: Array, inverse_depth: Array) -> Array:

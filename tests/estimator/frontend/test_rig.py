@@ -11,6 +11,7 @@ from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker, measures_depth
 from dronevio.estimator.frontend.stereo import shared_view
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
+from dronevio.estimator.intrinsics import IntrinsicCorrections
 from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.arrays import Array
 from dronevio.models.camera import CameraModel
@@ -245,6 +246,28 @@ def test_corrected_extrinsics_apply_to_all_trackers(render_wall: RenderWall) -> 
         seen = [tracker.replenish() for tracker in trackers]
         np.testing.assert_array_equal(seen[0].pixels, seen[1].pixels)
     assert np.any(seen[0].camera == 1)
+
+
+def test_corrected_intrinsics_apply_to_matches(render_wall: RenderWall) -> None:
+    """Focal lengths and principal points of both cameras are wrong, each by another amount."""
+    focal, principal = np.array([0.01, -0.02]), np.array([[0.012, -0.009], [-0.01, 0.015]])
+    true = [replace(camera.model, distortion=(0.0, 0.0, 0.0, 0.0)) for camera in STEREO.cameras]
+    given = []
+    for m, f, (x, y) in zip(true, focal, principal, strict=True):
+        fx, fy = m.fx / (1.0 + f), m.fy / (1.0 + f)
+        given.append(replace(m, fx=fx, fy=fy, cx=m.cx - fx * x, cy=m.cy - fy * y))
+    true_rig, given_rig = (
+        replace(STEREO, cameras=tuple(replace(c, model=m) for c, m in zip(STEREO.cameras, models, strict=True)))
+        for models in (true, given)
+    )
+    corrections = IntrinsicCorrections(focal, principal, np.zeros(2), np.zeros(2, np.bool_))
+    wall, tracker = WallSequence(render_wall, true_rig), RigTracker(given_rig, CONFIG)
+    tracker.track(wall.frame(), np.eye(3))
+    assert len(tracker.replenish().matches) == 0
+    calibration = Calibration(given_rig, intrinsics=corrections)
+    seen = calibration.normalized(tracker.replenish(calibration))
+    assert len(seen.miscalibrated) == 0 and len(seen.matches) > 0.7 * len(seen)
+    assert np.median(wall.match_errors_px(seen)) < 0.15
 
 
 def test_a_dark_second_image_yields_no_matches(render_wall: RenderWall) -> None:
