@@ -1,87 +1,96 @@
-"""Corrections of the intrinsics of cameras: focal length, principal point and a radial term of the third order.
+"""Corrections of the intrinsics of cameras: focal length, principal point, and the first coefficient of the lens.
 
-They act on undistorted coordinates of the given calibration, and need no derivatives of lenses: a wrong first
-coefficient of any lens leaves such a radial term. The coordinates are those in which a focal length is a scale. For
-pinholes with a radial-tangential distortion these are the normalized ones, at depth 1; for fisheyes, their length is
-the angle from the axis.
+The odometry works with undistorted coordinates. To correct them, they are distorted by the given lens: in the image,
+the focal length is a scale and the principal point a displacement. The result is undistorted by the corrected lens.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from dronevio.models.arrays import Array, Integers, Mask
+from dronevio.models.arrays import Array, Integers
+from dronevio.models.camera import CameraModel
+from dronevio.models.lenses.lens import LENSES
 
-NEWTON_STEPS = 4
-"""Number of Newton steps in which the radial correction is inverted, to the precision of the numbers."""
-MIN_SLOPE = 0.1
-"""Smallest slope of the radial correction in these steps."""
-TINY = 1e-12
-"""Smallest coefficient that bounds the radius, and smallest squared radius that is not that of the axis."""
-LARGEST_RAD = np.radians(89.0)
-"""Largest angle from the axis that normalized coordinates have."""
+STEP = 1e-6
+"""Step of the forward differences by coordinates and by the coefficient."""
 
 
-def lens_xy(xy: Array, is_fisheye: Mask) -> Array:
-    """Return coordinates (N, 2) in which a focal length is a scale, of normalized ones (N, 2)."""
-    return np.asarray(_scales(xy, is_fisheye)[0][:, None] * xy)
+def image_coordinates(model: CameraModel, xy: Array, radial: float = 0.0) -> Array:
+    """Return image coordinates (N, 2), relative to the principal point in focal lengths, of normalized ones (N, 2).
+
+    Where the lens is not valid, they are the normalized ones.
+
+    Args:
+        model: The camera.
+        xy: Normalized, undistorted coordinates.
+        radial: Correction of the first coefficient of the lens.
+    """
+    found = LENSES[model.lens].project(np.column_stack([xy, np.ones(len(xy))]), _coefficients(model, radial))
+    return np.where(np.isfinite(found), found, xy)
 
 
-def lens_jacobian(xy: Array, is_fisheye: Mask) -> Array:
-    """Return the Jacobian (N, 2, 2) of `lens_xy`."""
-    scale, slope = _scales(xy, is_fisheye)
-    J = slope[:, None, None] * xy[:, :, None] * xy[:, None]
-    J[:, [0, 1], [0, 1]] += scale[:, None]
-    return np.asarray(J)
+def image_jacobians(model: CameraModel, xy: Array, radial: float) -> tuple[Array, Array, Array]:
+    """Return `image_coordinates` (N, 2), and their derivatives by coordinates (N, 2, 2) and by the coefficient (N, 2)."""
+    n = len(xy)
+    moved = np.concatenate([xy, xy + [STEP, 0.0], xy + [0.0, STEP]])
+    found = image_coordinates(model, moved, radial).reshape(3, n, 2)
+    by_xy = np.moveaxis(found[1:] - found[0], 0, -1) / STEP
+    return found[0], by_xy, (image_coordinates(model, xy, radial + STEP) - found[0]) / STEP
 
 
-def normalized_xy(lens: Array, is_fisheye: Mask) -> Array:
-    """Return the normalized coordinates (N, 2) of those by `lens_xy`."""
-    angle = np.hypot(*lens.T)
-    tangent = np.tan(np.minimum(angle, LARGEST_RAD)) / np.maximum(angle, np.sqrt(TINY))
-    return np.asarray(np.where(is_fisheye & (angle > np.sqrt(TINY)), tangent, 1.0)[:, None] * lens)
+def _normalized(model: CameraModel, image: Array, radial: float) -> Array:
+    """Return the normalized coordinates (N, 2) of image coordinates (N, 2); NaN where there are none."""
+    rays = LENSES[model.lens].unproject(image, _coefficients(model, radial))
+    return np.asarray(rays[:, :2] / np.where(rays[:, 2:] > 0.0, rays[:, 2:], np.nan))
 
 
-def _scales(xy: Array, is_fisheye: Mask) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return the ratios s (N,) of `lens_xy` to normalized coordinates of radius r, and s'(r) / r (N,)."""
-    r2 = np.maximum((xy * xy).sum(axis=1), TINY)
-    r = np.sqrt(r2)
-    scale = np.arctan(r) / r
-    slope = np.where(r2 > 1e-6, (1.0 / (1.0 + r2) - scale) / r2, -2.0 / 3.0)
-    return np.where(is_fisheye, scale, 1.0), np.where(is_fisheye, slope, 0.0)
+def _coefficients(model: CameraModel, radial: float) -> tuple[float, ...]:
+    first, *others = model.distortion
+    return (first + radial, *others)
 
 
 @dataclass(frozen=True, eq=False)
 class IntrinsicCorrections:
-    """Corrections of the intrinsics of C cameras.
-
-    In the coordinates of `lens_xy`, given = (1 + focal) (1 + radial r²) corrected + principal.
-    """
+    """Corrections of the intrinsics of C cameras, with given = (1 + focal) corrected + principal in the image."""
 
     focal: Array
     """(C,) Relative corrections of fx and fy alike: their ratio is that of the sides of a pixel, which is known."""
     principal: Array
     """(C, 2) Corrections of the principal points, in units of fx and fy."""
     radial: Array
-    """(C,) Corrections of the first radial coefficient of the distortion."""
-    is_fisheye: Mask
-    """(C,) Whether the lens of a camera is a fisheye."""
+    """(C,) Corrections of the first coefficients of the lenses: k1 of ``radtan`` and ``equidistant``."""
+    models: tuple[CameraModel, ...]
+    """The C given cameras."""
 
     def corrected_xy(self, xy: Array, camera: Integers) -> Array:
-        """Return normalized coordinates (N, 2) by the corrected intrinsics, from those by the given intrinsics."""
-        is_fisheye = self.is_fisheye[camera]
-        distorted = (lens_xy(xy, is_fisheye) - self.principal[camera]) / (1.0 + self.focal[camera, None])
-        k, target = self.radial[camera], np.hypot(*distorted.T)
-        largest = np.sqrt(1.0 / (3.0 * np.maximum(-k, TINY)))  # where the slope is 0
-        r = np.minimum(target, largest)
-        for _ in range(NEWTON_STEPS if self.radial.any() else 0):  # r (1 + k r²) = target
-            r = np.clip(r - (r + k * r**3 - target) / np.maximum(1.0 + 3.0 * k * r * r, MIN_SLOPE), 0.0, largest)
-        return normalized_xy(distorted / (1.0 + k * r * r)[:, None], is_fisheye)
+        """Return normalized coordinates (N, 2) by the corrected intrinsics, from those by the given intrinsics.
+
+        Where a lens is not valid, they are not corrected.
+        """
+
+        def corrected(c: int, given: Array) -> Array:
+            image = (image_coordinates(self.models[c], given) - self.principal[c]) / (1.0 + self.focal[c])
+            return _normalized(self.models[c], image, self.radial[c])
+
+        return _by_camera(corrected, xy, camera)
 
     def given_xy(self, xy: Array, camera: Integers) -> Array:
         """Return normalized coordinates (N, 2) by the given intrinsics, the inverse of `corrected_xy`."""
-        is_fisheye = self.is_fisheye[camera]
-        lens = lens_xy(xy, is_fisheye)
-        scale = (1.0 + self.focal[camera]) * (1.0 + self.radial[camera] * (lens * lens).sum(axis=1))
-        return normalized_xy(scale[:, None] * lens + self.principal[camera], is_fisheye)
+
+        def given(c: int, corrected: Array) -> Array:
+            image = image_coordinates(self.models[c], corrected, self.radial[c])
+            return _normalized(self.models[c], (1.0 + self.focal[c]) * image + self.principal[c], 0.0)
+
+        return _by_camera(given, xy, camera)
+
+
+def _by_camera(function: Callable[[int, Array], Array], xy: Array, camera: Integers) -> Array:
+    """Return coordinates (N, 2) changed by a function of the index and the coordinates of each camera."""
+    changed = xy.copy()
+    for c in np.unique(camera).tolist():
+        rows = np.flatnonzero(camera == c)
+        found = function(c, xy[rows])
+        changed[rows] = np.where(np.isfinite(found).all(axis=1, keepdims=True), found, xy[rows])
+    return changed

@@ -8,6 +8,7 @@ import numpy as np
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.intrinsics import IntrinsicCorrections
 from dronevio.models.arrays import Array, Integers, Mask
+from dronevio.models.camera import CameraModel
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import skew
 
@@ -157,14 +158,14 @@ class Calibration:
         return np.stack([camera.T_imu_cam for camera in self.rig.cameras])
 
     @cached_property
-    def is_fisheye(self) -> Mask:
-        """(C,) Whether the lens of a camera is a fisheye."""
-        return np.array([camera.model.lens != "radtan" for camera in self.rig.cameras])
+    def models(self) -> tuple[CameraModel, ...]:
+        """The C cameras with the given intrinsics."""
+        return tuple(camera.model for camera in self.rig.cameras)
 
     @cached_property
     def focal_px(self) -> Array:
         """(C,) Focal lengths of the cameras along x, near the axis [px]."""
-        return np.array([camera.model.central_focal_px[0] for camera in self.rig.cameras])
+        return np.array([model.central_focal_px[0] for model in self.models])
 
     @cached_property
     def readouts_s(self) -> Array:

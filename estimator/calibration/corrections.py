@@ -6,7 +6,8 @@ import numpy as np
 
 from dronevio.estimator.intrinsics import IntrinsicCorrections
 from dronevio.estimator.types import Calibration
-from dronevio.models.arrays import Array, Mask
+from dronevio.models.arrays import Array
+from dronevio.models.camera import CameraModel
 from dronevio.models.rotation import exp_so3, pose_matrix
 
 COMMON_PARAMETERS = 3
@@ -61,9 +62,9 @@ class Corrections:
         of_camera = np.split(rows, [3, 6, 7, 9], axis=1)
         return cls(float(x[0]), float(x[GRAVITY]), float(x[GYRO_SCALE]), *of_camera)
 
-    def intrinsics(self, is_fisheye: Mask) -> IntrinsicCorrections:
-        """Return the corrections of the intrinsics of cameras (C,) of which some are fisheyes."""
-        return IntrinsicCorrections(self.focal[:, 0], self.principal, self.radial[:, 0], is_fisheye)
+    def intrinsics(self, models: tuple[CameraModel, ...]) -> IntrinsicCorrections:
+        """Return the corrections of the intrinsics of the C given cameras."""
+        return IntrinsicCorrections(self.focal[:, 0], self.principal, self.radial[:, 0], models)
 
     def applied_to(self, given: Calibration) -> Calibration:
         """Return a given calibration with the corrections applied."""
@@ -74,7 +75,7 @@ class Corrections:
         return Calibration(
             replace(given.rig, cameras=tuple(cameras)),
             self.time_offset_s,
-            self.intrinsics(given.is_fisheye) if has_intrinsics else None,
+            self.intrinsics(given.models) if has_intrinsics else None,
             self.gravity_m_s2,
         )
 

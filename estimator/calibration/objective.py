@@ -127,7 +127,7 @@ class CalibrationObjective:
     focal_px: float
     """Focal length [px]."""
     sigma: float
-    """Standard deviation of an observation, in the coordinates of `lens_xy`."""
+    """Standard deviation of an observation, in the image, in focal lengths."""
 
     @classmethod
     def of(

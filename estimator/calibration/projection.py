@@ -12,8 +12,9 @@ import numpy.typing as npt
 
 from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
 from dronevio.estimator.calibration.corrections import COMMON_PARAMETERS, PARAMETERS_PER_CAMERA, Corrections
-from dronevio.estimator.intrinsics import lens_jacobian, lens_xy
-from dronevio.models.arrays import Array, Integers, Mask
+from dronevio.estimator.intrinsics import image_coordinates, image_jacobians
+from dronevio.models.arrays import Array, Integers
+from dronevio.models.camera import CameraModel
 from dronevio.models.rotation import exp_so3
 
 
@@ -59,8 +60,8 @@ class CalibrationState:
     """(K,) Corrections of the time offset that the observations of each keyframe already contain [s]."""
     Ts_imu_cam: Array
     """(C, 4, 4) Poses of the cameras without corrections."""
-    is_fisheye: Mask
-    """(C,) Whether the lens of a camera is a fisheye."""
+    models: tuple[CameraModel, ...]
+    """The C cameras without corrections."""
     corrections: Corrections
     """Corrections of the calibration."""
 
@@ -73,7 +74,7 @@ class Projection:
     """
 
     residual: Array
-    """(2, N) Observed minus projected coordinates, in which a focal length is a scale; see `lens_xy`."""
+    """(2, N) Observed minus projected image coordinates, in focal lengths; see `image_coordinates`."""
     J_pose: Array
     """(2, 6, N) Jacobian by (δθ, δp) of the keyframe, δθ in the IMU frame and δp in the world frame."""
     J_point: Array
@@ -96,7 +97,7 @@ def camera_poses(state: CalibrationState, observations: CalibrationObservations)
 
 def corrected_xy(state: CalibrationState, observations: CalibrationObservations) -> Array:
     """Return the normalized image coordinates (N, 2) by the corrected intrinsics."""
-    return state.corrections.intrinsics(state.is_fisheye).corrected_xy(observations.xy, observations.camera)
+    return state.corrections.intrinsics(state.models).corrected_xy(observations.xy, observations.camera)
 
 
 def project(state: CalibrationState, observations: CalibrationObservations, points: Array) -> Projection:
@@ -112,17 +113,12 @@ def project(state: CalibrationState, observations: CalibrationObservations, poin
     from_camera = p_imu - _each(state.Ts_imu_cam[:, :3, 3] + c.translation_m, camera)
     p_cam = np.einsum("jin,jn->in", R_imu_cam, from_camera)
     inverse_depth = 1.0 / np.maximum(p_cam[2], MIN_DEPTH_M)
-    xy, is_fisheye = p_cam[:2] * inverse_depth, state.is_fisheye[camera]
-    focal, radial = 1.0 + c.focal[camera, 0], c.radial[camera, 0]
-    lens = lens_xy(xy.T, is_fisheye).T
-    r2 = lens[0] * lens[0] + lens[1] * lens[1]
-    distorted = (1.0 + radial * r2) * lens
-    residual = lens_xy(observations.xy, is_fisheye).T - focal * distorted - c.principal[camera].T
+    xy, focal = p_cam[:2] * inverse_depth, 1.0 + c.focal[camera, 0]
+    observed, image, J_image, J_radial = _in_images(state, observations, xy)
+    residual = observed - focal * image - c.principal[camera].T
 
-    # By the lens coordinates, and by the landmark in each frame
-    J_lens = (2.0 * focal * radial * lens)[:, None] * lens
-    J_lens[[0, 1], [0, 1]] += focal * (1.0 + radial * r2)
-    J_xy = np.einsum("ijn,njk->ikn", J_lens, lens_jacobian(xy.T, is_fisheye)) * inverse_depth
+    # By the landmark in each frame
+    J_xy = J_image * (focal * inverse_depth)
     J_cam = np.concatenate([J_xy, -np.einsum("ikn,kn->in", J_xy, xy)[:, None]], axis=1)
     J_imu = np.einsum("rjn,ijn->rin", J_cam, R_imu_cam)
     J_key = np.einsum("rin,ijn->rjn", J_imu, R_exposure_key)
@@ -135,13 +131,34 @@ def project(state: CalibrationState, observations: CalibrationObservations, poin
     dp_imu_dt = _row_cross(p_imu[None], _each(state.rates_rad_s, k))[0] - _each(v_key, k)
     J_corrections[:, 0] = np.einsum("rin,in->rn", J_imu, dp_imu_dt)
     J_camera = np.zeros((2, PARAMETERS_PER_CAMERA, len(k)))
-    J_camera[:, 0:3], J_camera[:, 3:6], J_camera[:, 6] = _row_cross(J_cam, p_cam), -J_imu, distorted
+    J_camera[:, 0:3], J_camera[:, 3:6], J_camera[:, 6] = _row_cross(J_cam, p_cam), -J_imu, image
     J_camera[0, 7] = J_camera[1, 8] = 1.0
-    J_camera[:, 9] = focal * r2 * lens
+    J_camera[:, 9] = focal * J_radial
     for index in range(len(state.Ts_imu_cam)):
         first = COMMON_PARAMETERS + PARAMETERS_PER_CAMERA * index
         J_corrections[:, first : first + PARAMETERS_PER_CAMERA] = J_camera * (camera == index)
     return Projection(residual, J_pose, J_point, J_corrections)
+
+
+def _in_images(
+    state: CalibrationState, observations: CalibrationObservations, xy: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return observed and projected image coordinates (2, N), and derivatives (2, 2, N), (2, N) of the latter.
+
+    Args:
+        state: The cameras and their corrections.
+        observations: The observations.
+        xy: (2, N) Projected normalized coordinates, by which, and by the coefficient of the lens, are the derivatives.
+    """
+    n = len(observations.camera)
+    observed, image, J_image, J_radial = np.zeros((2, n)), np.zeros((2, n)), np.zeros((2, 2, n)), np.zeros((2, n))
+    for c, model in enumerate(state.models):
+        rows = np.flatnonzero(observations.camera == c)
+        radial = float(state.corrections.radial[c, 0])
+        observed[:, rows] = image_coordinates(model, observations.xy[rows]).T
+        found, by_xy, by_radial = image_jacobians(model, xy[:, rows].T, radial)
+        image[:, rows], J_image[:, :, rows], J_radial[:, rows] = found.T, np.moveaxis(by_xy, 0, -1), by_radial.T
+    return observed, image, J_image, J_radial
 
 
 def _each(values: Array, index: Integers) -> Array:

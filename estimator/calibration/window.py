@@ -92,7 +92,7 @@ def window_state(keyframes: Sequence[WindowKeyframe], given: Calibration, correc
         np.stack([keyframe.rate_rad_s for keyframe in keyframes]),
         np.array([keyframe.time_offset_s for keyframe in keyframes]),
         given.Ts_imu_cam,
-        given.is_fisheye,
+        given.models,
         corrections,
     )
 
