@@ -13,8 +13,8 @@ from dronevio.models.arrays import Array, Integers
 from dronevio.models.camera import CameraModel
 from dronevio.models.lenses.lens import LENSES
 
-STEP = 1e-6
-"""Step of the forward differences by coordinates and by the coefficient."""
+STEP = 1e-5
+"""Step of the central differences by coordinates and by the coefficient."""
 
 
 def image_coordinates(model: CameraModel, xy: Array, radial: float = 0.0) -> Array:
@@ -32,12 +32,13 @@ def image_coordinates(model: CameraModel, xy: Array, radial: float = 0.0) -> Arr
 
 
 def image_jacobians(model: CameraModel, xy: Array, radial: float) -> tuple[Array, Array, Array]:
-    """Return `image_coordinates` (N, 2), and their derivatives by coordinates (N, 2, 2) and by the coefficient (N, 2)."""
-    n = len(xy)
-    moved = np.concatenate([xy, xy + [STEP, 0.0], xy + [0.0, STEP]])
-    found = image_coordinates(model, moved, radial).reshape(3, n, 2)
-    by_xy = np.moveaxis(found[1:] - found[0], 0, -1) / STEP
-    return found[0], by_xy, (image_coordinates(model, xy, radial + STEP) - found[0]) / STEP
+    """Return `image_coordinates` (N, 2), and derivatives by coordinates (N, 2, 2) and by the coefficient (N, 2)."""
+    x, y = np.array([STEP, 0.0]), np.array([0.0, STEP])
+    moved = np.concatenate([xy, xy + x, xy - x, xy + y, xy - y])
+    image, *by_steps = image_coordinates(model, moved, radial).reshape(5, -1, 2)
+    by_xy = np.stack([by_steps[0] - by_steps[1], by_steps[2] - by_steps[3]], axis=-1)
+    by_radial = image_coordinates(model, xy, radial + STEP) - image_coordinates(model, xy, radial - STEP)
+    return image, by_xy / (2.0 * STEP), by_radial / (2.0 * STEP)
 
 
 def _normalized(model: CameraModel, image: Array, radial: float) -> Array:

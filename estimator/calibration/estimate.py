@@ -23,6 +23,8 @@ INFLATION_CORRECTION = (5e-3, np.radians(1.0))
 `CalibrationConfig.inflation_sigmas` correspond."""
 MAX_INVERSE_DEPTH_ERROR = 0.02
 """Largest error of inverse depths by stereo [1/m] that a corrected calibration may have."""
+MAX_DISAGREEMENT = 3.0
+"""Standard deviations of χ² above its mean up to which intrinsics in use agree with an estimate."""
 MIN_INFLATION = 0.03
 """Smallest share of these that is applied, however small a correction is."""
 
@@ -113,22 +115,48 @@ class ParameterEstimate:
             test: Determines what is significant.
             is_complete: Whether the adjustment is that of a complete window, so that its result is kept.
         """
-        difference, is_wrong = mean - self.applied, np.zeros(len(mean), np.bool_)
+        # Significance of each group; that of rotations with the intrinsics in use, if these agree with the estimate
+        joint, is_wrong = (mean, covariance), np.zeros(len(mean), np.bool_)
+        rotations = given_values(*joint, parameters.is_intrinsic & ~self.follows, self.applied)
         for group in parameters.groups:
+            by, P = rotations if group.is_rotation else joint
             is_first = not self.follows[group.rows[0]]
-            is_wrong[group.rows] = test.is_passed(group, difference, covariance, is_first=is_first)
+            is_wrong[group.rows] = test.is_passed(group, by - self.applied, P, is_first=is_first)
         if not is_wrong.any():
             return None
         # Rotations and intrinsics together, if corrections of some of them would leave wrong depths
         follows = self.follows | is_wrong
-        left = np.where(follows, 0.0, difference)
+        best, _ = given_values(*joint, parameters.is_of_images & ~follows, self.applied)
+        left = np.where(follows, best, self.applied) - mean
         if (np.abs(parameters.inverse_depth_errors @ left) > MAX_INVERSE_DEPTH_ERROR).any():
             follows |= parameters.is_of_images
         mean, covariance = with_wider_prior(mean, covariance, parameters.sigmas, is_wrong & ~self.follows)
-        applied, change = np.where(follows, mean, self.applied), np.where(follows, mean - self.applied, 0.0)
+        best, _ = given_values(mean, covariance, parameters.is_of_images & ~follows, self.applied)
+        applied = np.where(follows, best, self.applied)
+        change = applied - self.applied
         is_plausible = self.is_plausible and bool((np.abs(applied) <= parameters.limits).all())
         known = self.fused(mean, covariance, is_complete=is_complete)
         return replace(known, applied=applied, newest_change=change, follows=follows, is_plausible=is_plausible)
+
+
+def given_values(mean: Array, covariance: Array, is_given: npt.NDArray[np.bool_], values: Array) -> tuple[Array, Array]:
+    """Return an estimate given that some parameters have certain values, if these agree with it, else the estimate.
+
+    Args:
+        mean: (D,) Estimated corrections.
+        covariance: (D, D) Their covariance.
+        is_given: (D,) Whether a parameter has the given value.
+        values: (D,) These values; others do not count.
+
+    Returns:
+        The conditional mean (D,) and covariance (D, D).
+    """
+    n, known = int(is_given.sum()), np.flatnonzero(is_given)
+    difference, P = (values - mean)[known], covariance[np.ix_(known, known)]
+    if not n or difference @ np.linalg.solve(P, difference) > n + MAX_DISAGREEMENT * np.sqrt(2.0 * n):
+        return mean, covariance
+    gain = np.linalg.solve(P, covariance[known]).T
+    return mean + gain @ difference, covariance - gain @ covariance[known]
 
 
 def with_wider_prior(

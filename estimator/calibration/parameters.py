@@ -92,10 +92,17 @@ class ParameterTable:
     @cached_property
     def is_of_images(self) -> npt.NDArray[np.bool_]:
         """(D,) Whether a parameter is a rotation or an intrinsic of a camera that is corrected."""
-        found = np.zeros(len(self.sigmas), np.bool_)
-        for group in self.groups:
-            found[group.rows] = group.is_rotation or group.is_intrinsic
-        return found
+        return self._rows_of(*(group for group in self.groups if group.is_rotation or group.is_intrinsic))
+
+    @cached_property
+    def is_intrinsic(self) -> npt.NDArray[np.bool_]:
+        """(D,) Whether a parameter is an intrinsic of a camera that is corrected."""
+        return self._rows_of(*(group for group in self.groups if group.is_intrinsic))
+
+    def _rows_of(self, *groups: ParameterGroup) -> npt.NDArray[np.bool_]:
+        """(D,) Whether a parameter belongs to one of some groups."""
+        rows = [group.rows for group in groups]
+        return np.isin(np.arange(len(self.sigmas)), np.concatenate(rows) if rows else [])
 
     def refutes_intrinsics(self, change: Array) -> bool:
         """Return whether a change (D,) shows that intrinsics were very wrong."""

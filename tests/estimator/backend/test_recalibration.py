@@ -166,7 +166,7 @@ def test_keyframes_of_unknown_rotation_lose_their_observations(feed: "KeyframeFe
 def test_coordinates_by_corrected_intrinsics(feed: "KeyframeFeed", flight: "SyntheticFlight") -> None:
     """A longer focal length and a distortion that is not subtracted make the coordinates smaller; the way back."""
     window, given = feed.smoother._window, Calibration(flight.rig)
-    intrinsics = IntrinsicCorrections(np.full(1, 0.01), np.array([[0.02, -0.01]]), np.array([0.01]), np.zeros(1, bool))
+    intrinsics = IntrinsicCorrections(np.full(1, 0.01), np.array([[0.02, -0.01]]), np.array([0.01]), given.models)
     corrected = replace(given, intrinsics=intrinsics)
     table = window.landmarks.all_observations
     found = recalibrated_observations(window.landmarks, window.states, {}, given, corrected)
@@ -220,7 +220,9 @@ def test_a_window_without_a_solution_is_not_kept(feed: "KeyframeFeed", flight: "
     """Coordinates that are not finite make the linear system singular."""
     calibration = Calibration(
         flight.rig,
-        intrinsics=IntrinsicCorrections(np.full(1, np.nan), np.zeros((1, 2)), np.zeros(1), np.zeros(1, bool)),
+        intrinsics=IntrinsicCorrections(
+            np.full(1, np.nan), np.zeros((1, 2)), np.zeros(1), Calibration(flight.rig).models
+        ),
     )
     with np.errstate(all="ignore"):
         assert not feed.smoother.recalibrate(calibration, INFLATION)

@@ -18,6 +18,7 @@ from dronevio.estimator.optimization import gauss_newton
 from dronevio.estimator.optimization.linalg import CholeskyFactor, SingularError
 from dronevio.estimator.types import Calibration
 from dronevio.models.arrays import Array
+from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, log_so3
 from dronevio.models.state import NavState, Trajectory
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from tests.estimator.conftest import KeyframeFeed, SyntheticFlight
 
 MakeFlight = Callable[..., "SyntheticFlight"]
+MODELS = tuple(camera.model for camera in rig_named("euroc").cameras)
 
 
 @pytest.fixture(scope="session")
@@ -221,7 +223,7 @@ def test_the_prior_waits_for_a_later_frame(
         ({"gravity_correction_m_s2": 0.03}, True),
         ({"time_offset_correction_s": 0.01}, False),
         (
-            {"intrinsics": IntrinsicCorrections(np.full(1, 0.01), np.zeros((1, 2)), np.zeros(1), np.zeros(1, bool))},
+            {"intrinsics": IntrinsicCorrections(np.full(1, 0.01), np.zeros((1, 2)), np.zeros(1), MODELS)},
             False,
         ),
     ],

@@ -111,7 +111,7 @@ def test_a_rotation_common_to_both_cameras_is_not_seen_at_rest() -> None:
 def other_baseline(
     position_sigma_m: float = 0.0, max_decrement: float = 0.01
 ) -> tuple[CalibrationProblem, ParameterTable]:
-    """Return the adjustment of a keyframe whose second camera is half a millimetre behind its given position.
+    """Return the adjustment of a keyframe whose second camera is 0.6 mm behind its given position.
 
     Args:
         position_sigma_m: Standard deviation of the positions of the cameras [m].
@@ -120,7 +120,7 @@ def other_baseline(
     rig, config = rig_named("euroc-stereo"), CalibrationConfig(position_sigma_m=position_sigma_m)
     off = {name: replace(getattr(config, name), online=False) for name in ("focal", "principal", "radial")}
     config = replace(config, **off)  # wrong intrinsics look like a rotation, too
-    T = rig.cameras[1].T_imu_cam @ pose_matrix(np.eye(3), np.array([0.0, 0.0, 0.0005]))
+    T = rig.cameras[1].T_imu_cam @ pose_matrix(np.eye(3), np.array([0.0, 0.0, 0.0006]))
     seen = stereo_view(replace(rig, cameras=(rig.cameras[0], replace(rig.cameras[1], T_imu_cam=T))), noise_px=0.02)
     parts = (seen, seen.matches)
     ids, camera, xy = (np.concatenate([getattr(p, name) for p in parts]) for name in ("ids", "camera", "xy"))
@@ -152,7 +152,7 @@ def test_an_adjustment_ends_by_the_decrement_per_unknown(
 
 @pytest.mark.parametrize(("position_sigma_m", "is_significant"), [(0.0, True), (0.0005, False)])
 def test_another_baseline_is_no_rotation_of_both_cameras(position_sigma_m: float, is_significant: bool) -> None:
-    """One camera is half a millimetre behind its given position, so that the baseline has another direction."""
+    """One camera is 0.6 mm behind its given position, so that the baseline has another direction."""
     problem, parameters = other_baseline(position_sigma_m)
     while not problem.is_done:
         problem.step()

@@ -20,11 +20,12 @@ from dronevio.estimator.calibration.projection import (
     corrected_xy,
     project,
 )
-from dronevio.estimator.intrinsics import normalized_xy
 from dronevio.models.arrays import Array
+from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, pose_matrix
 
 K, L, CAMERAS = 3, 5, 2
+MODELS = rig_named("euroc").cameras[0].model, rig_named("fisheye").cameras[0].model
 H = 1e-6
 """Step of central differences."""
 
@@ -56,14 +57,15 @@ def problem() -> Problem:
         rates_rad_s=rng.normal(size=(K, 3)),
         time_offsets_s=np.array([0.0, 0.002, 0.005]),
         Ts_imu_cam=pose_matrix(exp_so3(0.1 * rng.normal(size=(CAMERAS, 3))), 0.1 * rng.normal(size=(CAMERAS, 3))),
-        is_fisheye=np.arange(CAMERAS) == 1,
+        models=MODELS,
         corrections=Corrections.from_vector(corrections),
     )
     points = np.column_stack([rng.uniform(-1.0, 1.0, (L, 2)), rng.uniform(4.0, 8.0, L)])
     landmark, keyframe, camera = (x.ravel() for x in np.meshgrid(range(L), range(K), range(CAMERAS), indexing="ij"))
     observations = CalibrationObservations(keyframe, camera, landmark, np.zeros((len(landmark), 2)))
-    lens = -project(state, observations, points).residual.T
-    exact = replace(observations, xy=normalized_xy(lens, state.is_fisheye[camera]))
+    image = -project(state, observations, points).residual.T  # the observed coordinates are on the axis, 0 in the image
+    xy = np.where(camera[:, None] == 0, *(model.undistort(image) for model in MODELS))
+    exact = replace(observations, xy=xy)
     return Problem(state, exact, points, corrections)
 
 
@@ -116,8 +118,8 @@ def test_a_principal_point_is_seen_as_a_rotation(problem: Problem) -> None:
     """Both together change no image near the axis, and neither do they change the view."""
     size, one = COMMON_PARAMETERS + PARAMETERS_PER_CAMERA, np.zeros(len(problem.observations.xy), np.int64)
     observations = replace(problem.observations, camera=one)
-    Ts, pinhole = problem.state.Ts_imu_cam[:1], np.zeros(1, np.bool_)
-    state = replace(problem.state, time_offsets_s=np.zeros(K), Ts_imu_cam=Ts, is_fisheye=pinhole)
+    Ts, models = problem.state.Ts_imu_cam[:1], MODELS[:1]
+    state = replace(problem.state, time_offsets_s=np.zeros(K), Ts_imu_cam=Ts, models=models)
     on_axis = np.array([[0.0, 0.0, 5.0]]) @ (state.R_world_imu[0] @ state.Ts_imu_cam[0, :3, :3]).T
     points = np.tile(state.p_world_imu[0] + on_axis + state.Ts_imu_cam[0, :3, 3], (L, 1))
     x = np.zeros(size)

@@ -260,7 +260,7 @@ def test_corrected_intrinsics_apply_to_matches(render_wall: RenderWall) -> None:
         replace(STEREO, cameras=tuple(replace(c, model=m) for c, m in zip(STEREO.cameras, models, strict=True)))
         for models in (true, given)
     )
-    corrections = IntrinsicCorrections(focal, principal, np.zeros(2), np.zeros(2, np.bool_))
+    corrections = IntrinsicCorrections(focal, principal, np.zeros(2), Calibration(given_rig).models)
     wall, tracker = WallSequence(render_wall, true_rig), RigTracker(given_rig, CONFIG)
     tracker.track(wall.frame(), np.eye(3))
     assert len(tracker.replenish().matches) == 0

@@ -103,7 +103,9 @@ def test_a_map_without_landmarks_has_its_images() -> None:
 def test_cameras_have_the_corrected_intrinsics() -> None:
     """The pixels are those that the images have: by the given model, before the correction."""
     calibration = Calibration(
-        RIG, 0.0, IntrinsicCorrections(np.full(2, 0.01), np.full((2, 2), -0.005), np.full(2, 0.02), np.zeros(2, bool))
+        RIG,
+        0.0,
+        IntrinsicCorrections(np.full(2, 0.01), np.full((2, 2), -0.005), np.full(2, 0.02), Calibration(RIG).models),
     )
     r = map_structure(inputs(calibration), AdjustmentConfig(), STAMPS_NS).reconstruction
     assert r.cameras[0].fx == pytest.approx(1.01 * RIG.cameras[0].model.fx)
