@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.backend.keyframes import KeyframeConfig
+from dronevio.estimator.calibration.online import OnlineCalibration
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.rig import measures_depth
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.monitoring.stamp_error import StampCorrection
+from dronevio.estimator.types import Calibration
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.arrays import Array
 from dronevio.models.state import Estimate, Health, Trajectory
@@ -99,6 +101,16 @@ def test_every_image_is_tracked_where_the_prediction_is_poor(
     flight = make_flight(1, rest_s=STATIONARY, duration_s=5.0, motion=CALM)
     front_end = VerifyingFrontEnd(flight)
     monkeypatch.setattr(part, quality, True)
+    flight.run(front_end)
+    assert not front_end.verified_ns
+
+
+def test_every_image_is_tracked_where_cameras_determine_no_depth(
+    make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flight = make_flight(1, rest_s=STATIONARY, duration_s=5.0, motion=CALM)
+    front_end = VerifyingFrontEnd(flight)
+    monkeypatch.setattr(OnlineCalibration, "calibration", Calibration(flight.rig, without_depth=frozenset({0})))
     flight.run(front_end)
     assert not front_end.verified_ns
 

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.calibration.config import CalibrationConfig
-from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
+from dronevio.estimator.calibration.corrections import GRAVITY, Corrections, inverse_depth_errors
 from dronevio.estimator.calibration.estimate import ParameterEstimate, covariance_inflation, inflation_share
 from dronevio.estimator.calibration.parameters import FIXED_SIGMA, ParameterTable
 from dronevio.estimator.calibration.significance import STATIONARY_SIGMAS, SignificanceTest
+from dronevio.estimator.types import Calibration
 from dronevio.models.arrays import Array
+from dronevio.models.rig_presets import rig_named
 
 CONFIG = CalibrationConfig()
 PARAMETERS = ParameterTable.of(CONFIG, 1)
@@ -183,3 +185,98 @@ def test_settings_of_a_part_that_is_off_do_not_matter() -> None:
     table = ParameterTable.of(replace(CONFIG, time_offset=off), 1)
     assert table.sigmas[0] == FIXED_SIGMA and not table.walk[0] and len(table.groups) == 5
     assert Corrections.from_vector(table.sigmas).gravity_m_s2 == CONFIG.gravity.sigma
+
+
+def rotation_or_principal_point(seen_rad: float) -> tuple[Array, Array]:
+    """Return an estimate that knows the view about y to 1 mrad; rotation and principal point have priors of 10 mrad."""
+    covariance, view = CERTAIN.copy(), np.zeros(13)
+    covariance[[4, 10], [4, 10]] = 0.01**2
+    view[[4, 10]] = 1.0, -1.0
+    information = np.linalg.inv(covariance) + np.outer(view, view) / 0.001**2
+    covariance = np.linalg.inv(information)
+    return covariance @ view * seen_rad / 0.001**2, covariance
+
+
+def test_rotations_are_corrected_for_the_intrinsics_in_use() -> None:
+    """An error of the view of 15 mrad is given half to each, of which neither is significant, and corrected by one."""
+    mean, covariance = rotation_or_principal_point(0.015)
+    np.testing.assert_allclose(mean[[4, 10]], [0.0075, -0.0075], rtol=0.01)
+    found = PRIOR.corrected(mean, covariance, PARAMETERS, TEST, is_complete=True)
+    assert found is not None and found.follows[4] and not found.follows[10]
+    assert found.applied[4] == pytest.approx(0.015, rel=0.02) and found.applied[10] == 0.0
+    np.testing.assert_array_equal(found.mean, mean)
+
+
+def test_rotations_are_not_corrected_for_intrinsics_that_are_refuted() -> None:
+    """The radial distortion, which a part of a window does not correct, contradicts the estimate."""
+    mean, covariance = rotation_or_principal_point(0.03)
+    covariance[12, 12], mean[12] = 0.001**2, 0.02
+    part = SignificanceTest.of_window(CONFIG, 1, begins_stationary=True, is_complete=False)
+    part = replace(part, min_sigmas=1.0)
+    found = PRIOR.corrected(mean, covariance, PARAMETERS, part, is_complete=False)
+    assert found is None or found.applied[4] == mean[4]
+    agreeing = mean.copy()
+    agreeing[12] = 0.0
+    found = PRIOR.corrected(agreeing, covariance, PARAMETERS, part, is_complete=False)
+    assert found is not None and found.applied[4] == pytest.approx(0.03, rel=0.02)
+
+
+STEREO = Calibration(rig_named("euroc-stereo"))
+OF_TWO = ParameterTable.of(CONFIG, 2, inverse_depth_errors(STEREO))
+PARALLAX = OF_TWO.inverse_depth_errors[2]
+SECOND_TURNED = 14
+"""Row of the rotation of the second camera about its y axis, across the baseline."""
+
+
+def test_cameras_whose_calibration_is_refuted_must_be_known_for_depths() -> None:
+    """The given calibration determines depths, whatever its prior; a corrected one by its covariance."""
+    prior, test = (
+        ParameterEstimate.prior(OF_TWO),
+        SignificanceTest.of_window(CONFIG, 2, begins_stationary=False, is_complete=True),
+    )
+    assert prior.cameras_without_depth(OF_TWO) == frozenset()
+    mean = np.zeros(23)
+    mean[SECOND_TURNED - 1] = 0.05  # about its x axis
+    for sigma, without in ((0.02, frozenset({1})), (0.0001, frozenset())):
+        covariance = 1e-12 * np.eye(23)
+        covariance[SECOND_TURNED, SECOND_TURNED] = sigma**2
+        found = prior.corrected(mean, covariance, OF_TWO, test, is_complete=True)
+        assert found is not None and found.follows[3]
+        assert found.cameras_without_depth(OF_TWO) == without
+    only_time = prior.corrected(
+        corrections_of_two(0.004), OF_TWO.sigmas**2 * 1e-4 * np.eye(23), OF_TWO, test, is_complete=True
+    )
+    assert only_time is not None and only_time.cameras_without_depth(OF_TWO) == frozenset()
+
+
+def corrections_of_two(time_offset_s: float) -> Array:
+    mean = np.zeros(23)
+    mean[0] = time_offset_s
+    return mean
+
+
+def test_rotations_and_intrinsics_are_corrected_together_for_depths() -> None:
+    """A part of a window corrects no focal length, but that of the second camera leaves inverse depths 0.04 1/m off."""
+    prior, certain = ParameterEstimate.prior(OF_TWO), 1e-12 * np.eye(23)
+    part = SignificanceTest.of_window(CONFIG, 2, begins_stationary=True, is_complete=False)
+    mean = np.zeros(23)
+    mean[3], mean[19] = 0.03, 0.012
+    assert 0.03 < OF_TWO.inverse_depth_errors[3] @ np.where(np.arange(23) == 19, mean, 0.0) < 0.06
+    found = prior.corrected(mean, certain, OF_TWO, part, is_complete=False)
+    assert found is not None
+    np.testing.assert_allclose(found.applied, mean, atol=1e-12)
+    assert found.follows[OF_TWO.is_of_images].all() and not found.follows[~OF_TWO.is_of_images].any()
+    alone = prior.corrected(mean, certain, ParameterTable.of(CONFIG, 2), part, is_complete=False)
+    assert alone is not None and alone.applied[19] == 0.0
+
+
+def test_the_prior_widens_where_a_parameter_itself_is_refuted() -> None:
+    """Intrinsics that are corrected for the sake of the depths keep theirs."""
+    prior = ParameterEstimate.prior(OF_TWO)
+    part = SignificanceTest.of_window(CONFIG, 2, begins_stationary=True, is_complete=False)
+    covariance, mean = 1e-12 * np.eye(23), np.zeros(23)
+    covariance[20, 20], mean[20], mean[3] = 0.0095**2, 0.03, 0.05
+    found = prior.corrected(mean, covariance, OF_TWO, part, is_complete=False)
+    assert found is not None and found.follows[20]
+    assert found.applied[20] == pytest.approx(0.03)
+    assert found.newest_covariance[20, 20] == pytest.approx(0.0095**2)

@@ -13,13 +13,14 @@ from dronevio.estimator.frontend.protocol import AtExposure
 from dronevio.estimator.keyframe_observer import OdometryKeyframe
 from dronevio.estimator.odometry import VisualInertialOdometry
 from dronevio.estimator.types import Calibration, Matches, Observations
+from dronevio.eval.metrics.consistency import errors_and_sigmas_m
 from dronevio.models.arrays import Array
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import rig_named
-from dronevio.models.rotation import inverse_pose
-from dronevio.models.state import CameraFrame
+from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
+from dronevio.models.state import CameraFrame, Trajectory
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
@@ -100,6 +101,37 @@ class WrongLenses:
 
     def _normalized(self, seen: Observations) -> Observations:
         return replace(seen, xy=self._rig.cameras[0].model.normalize(seen.pixels))
+
+
+def miscalibrated(rig: Rig, rng: np.random.Generator) -> Rig:
+    """Return a rig of whose cameras rotation, focal length, principal point and distortion are wrong."""
+    cameras = []
+    for camera in rig.cameras:
+        m, ratio, k1 = camera.model, 1.0 + 0.015 * rng.normal(), 0.01 * rng.normal()
+        cx, cy = np.array([m.cx, m.cy]) + 4.0 * rng.normal(size=2)
+        distortion = (m.distortion[0] + k1, *m.distortion[1:])
+        model = replace(m, fx=ratio * m.fx, fy=ratio * m.fy, cx=cx, cy=cy, distortion=distortion)
+        turned = pose_matrix(exp_so3(0.015 * rng.normal(size=3)), np.zeros(3))
+        cameras.append(replace(camera, model=model, T_imu_cam=camera.T_imu_cam @ turned))
+    return replace(rig, cameras=tuple(cameras))
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_two_cameras_that_are_wrong_in_everything(make_flight: MakeFlight, seed: int) -> None:
+    """By depths of a rig that is known to be wrong, errors would reach 7 to 37 standard deviations."""
+    flight = make_flight(seed, rest_s=1.0, duration_s=12.0)
+    true = replace(rig_named("euroc-stereo"), imu=flight.rig.imu, T_vehicle_imu=flight.rig.T_vehicle_imu)
+    flight = replace(flight, rig=true)
+    rig = miscalibrated(true, np.random.default_rng(seed))
+    vio, estimates = VisualInertialOdometry(rig, front_end=WrongLenses(flight, rig)), []
+    for measurement in measurements(flight):
+        if isinstance(measurement, ImuSamples):
+            vio.add_imu(measurement)
+        else:
+            estimates.append(vio.add_frame(measurement))
+    estimated = Trajectory.from_states(e.state for e in estimates if e.state is not None)
+    error_m, sigma_m = errors_and_sigmas_m(flight.truth_at(estimated.t_ns), estimated)
+    assert (error_m / sigma_m).max() < 4.0
 
 
 @pytest.mark.parametrize(("cameras", "wrong_m_s"), [(1, 0.15), (2, 0.12)])

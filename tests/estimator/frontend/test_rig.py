@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.frontend import stereo
 from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker, measures_depth
 from dronevio.estimator.frontend.stereo import shared_view
@@ -268,6 +269,21 @@ def test_corrected_intrinsics_apply_to_matches(render_wall: RenderWall) -> None:
     seen = calibration.normalized(tracker.replenish(calibration))
     assert len(seen.miscalibrated) == 0 and len(seen.matches) > 0.7 * len(seen)
     assert np.median(wall.match_errors_px(seen)) < 0.15
+
+
+def test_few_matches_may_agree_by_chance(render_wall: RenderWall, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second image shows another place, but for a small part."""
+    found = []
+    for share in (0.0, stereo.MIN_SHARE):
+        monkeypatch.setattr(stereo, "MIN_SHARE", share)
+        wall, tracker = WallSequence(render_wall, STEREO), RigTracker(STEREO, CONFIG)
+        frame, elsewhere = wall.frame(), wall.frame(pose_matrix(np.eye(3), np.array([2.0, 1.0, 0.0])))
+        second = elsewhere.images[1].copy()
+        second[80:160, 130:230] = frame.images[1][80:160, 130:230]
+        tracker.track(replace(frame, images=(frame.images[0], second)), np.eye(3))
+        seen = tracker.replenish()
+        found.append(len(seen.matches) + len(seen.miscalibrated))
+    assert 0 < found[0] < 0.1 * len(seen) and found[1] == 0
 
 
 def test_a_dark_second_image_yields_no_matches(render_wall: RenderWall) -> None:
