@@ -5,7 +5,7 @@ odometry is given. Each recording is estimated from several starts. A row has th
 seconds, in which the calibration is estimated (aligned in position and yaw over these frames; geometric mean over the
 starts), its ratio to that by the right calibration, the frames beyond five standard deviations while the health is
 "tracking", the least share of frames that are tracking, and corrections and warning of the first start. The errors of a
-measured truth are fitted to the runs with the first calibration, printed, and removed (`truth_errors.py`)::
+measured truth are fitted to the runs with all calibrations, printed, and removed (`truth_errors.py`)::
 
     python benchmarks/intrinsics.py V1_02 V2_01 --cameras 1 2
     python benchmarks/intrinsics.py V1_02 --faults right focal+2% --given
@@ -23,7 +23,7 @@ import numpy as np
 import tyro
 from measuring import ChangedRecording, Row, anchored, opened, print_rows, text
 from scipy.stats import gmean
-from truth_errors import TruthErrors, fitted, is_exact
+from truth_errors import fitted, is_exact
 
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.config import VioConfig
@@ -35,6 +35,7 @@ from dronevio.eval.metrics.consistency import errors_and_sigmas_m
 from dronevio.eval.provenance import machine_here, versions_here
 from dronevio.eval.run import EstimatorRun
 from dronevio.eval.tracking import is_tracking
+from dronevio.models.protocols import Recording
 from dronevio.models.rig import RigCamera
 from dronevio.models.state import Trajectory
 from dronevio.recording.excerpts import excerpt_of
@@ -128,24 +129,33 @@ class Scores:
         return cls(rms_m, wrong, 100.0 * float(np.sum(tracking & late)) / max(frames, 1))
 
 
+def runs(recording: Recording, fault: Fault, command: IntrinsicsCommand) -> Iterator[EstimatorRun]:
+    """Yield the runs of a recording with a fault, one from each start."""
+    rig = replace(recording.rig, cameras=tuple(map(fault.changed, recording.rig.cameras)))
+    given = replace(ChangedRecording.of(recording), rig=rig)
+    for start_s in command.starts_s:
+        yield estimate_recording(excerpt_of(given, start_s), VisualInertialOdometry(rig, config_of(command)))
+        print(".", end="", file=sys.stderr, flush=True)
+
+
 def rows_of(path: Path, cameras: int, command: IntrinsicsCommand) -> Iterator[Row]:
     """Yield the rows of a recording."""
     recording, truth = opened(path, cameras)
-    reference, errors = math.nan, TruthErrors()
-    for name in command.faults:
-        rig = replace(recording.rig, cameras=tuple(map(FAULTS[name].changed, recording.rig.cameras)))
-        given = replace(ChangedRecording.of(recording), rig=rig)
-        parts = [excerpt_of(given, start_s) for start_s in command.starts_s]
-        runs = [estimate_recording(part, VisualInertialOdometry(rig, config_of(command))) for part in parts]
-        if name == command.faults[0] and not is_exact(path):
-            errors = fitted(truth, [run.trajectory for run in runs if len(run.trajectory) > 2])
-            print(f"{path.name}: truth corrected by {errors}")
-        scores = [Scores.of(run, errors.corrected(truth), command.begin_s) for run in runs]
+    runs_of = {name: list(runs(recording, FAULTS[name], command)) for name in command.faults}
+    if not is_exact(path):
+        errors = fitted(truth, [run.trajectory for each in runs_of.values() for run in each if len(run.trajectory) > 2])
+        truth = errors.corrected(truth)
+        print(f"{path.name}: truth corrected by {errors}")
+    reference = math.nan
+    for name, runs_by in runs_of.items():
+        scores = [Scores.of(run, truth, command.begin_s) for run in runs_by]
         error_m, tracking = float(gmean([s.error_m for s in scores])), min(s.tracking_percent for s in scores)
         reference = error_m if math.isnan(reference) else reference
-        warnings = [warning for _, warning in runs[0].warnings]
-        corrections = [e for estimate in runs[0].estimates for e in estimate.events if e.startswith("calibration cor")]
-        is_right = error_m <= MAX_RATIO * reference or tracking < 50.0 or all(run.warnings for run in runs)
+        warnings = [warning for _, warning in runs_by[0].warnings]
+        corrections = [
+            e for estimate in runs_by[0].estimates for e in estimate.events if e.startswith("calibration cor")
+        ]
+        is_right = error_m <= MAX_RATIO * reference or tracking < 50.0 or all(run.warnings for run in runs_by)
         yield {
             "flight": path.name,
             "cameras": str(cameras),

@@ -193,8 +193,8 @@ def rotation_or_principal_point(seen_rad: float) -> tuple[Array, Array]:
     covariance[[4, 10], [4, 10]] = 0.01**2
     view[[4, 10]] = 1.0, -1.0
     information = np.linalg.inv(covariance) + np.outer(view, view) / 0.001**2
-    covariance = np.linalg.inv(information)
-    return covariance @ view * seen_rad / 0.001**2, covariance
+    posterior = np.asarray(np.linalg.inv(information))
+    return posterior @ view * seen_rad / 0.001**2, posterior
 
 
 def test_rotations_are_corrected_for_the_intrinsics_in_use() -> None:
