@@ -1,4 +1,4 @@
-"""Corrections of the intrinsics: the way there and back, derivatives, and agreement with the lens models."""
+"""The calibration in use: corrections of intrinsics, their derivatives, and which matches determine depths."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from dronevio.estimator.calibration.corrections import Corrections
 from dronevio.estimator.intrinsics import IntrinsicCorrections, image_coordinates, image_jacobians
-from dronevio.estimator.types import Calibration
+from dronevio.estimator.types import Calibration, Matches, Observations
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig_presets import rig_named
 
@@ -128,3 +128,15 @@ def test_coordinates_far_outside_the_image_stay_finite(lens: str) -> None:
     xy = np.array([[50.0, 0.0], [1e6, -1e6]])
     assert np.isfinite(corrections.corrected_xy(xy, np.zeros(2, np.int64))).all()
     assert np.isfinite(corrections.given_xy(xy, np.zeros(2, np.int64))).all()
+
+
+def test_matches_that_determine_no_depths_are_left_to_the_calibration() -> None:
+    ids = np.arange(4)
+    matches = Matches(ids, np.array([1, 2, 1, 2]), np.arange(8.0).reshape(4, 2))
+    seen = Observations(ids, np.zeros((4, 2)), np.zeros((4, 2)), np.ones(4, np.int64), matches=matches)
+    calibration = Calibration(rig_named("euroc-stereo"))
+    assert calibration.usable(seen) is seen
+    found = replace(calibration, without_depth=frozenset({1})).usable(seen)
+    np.testing.assert_array_equal(found.matches.ids, [1, 3])
+    np.testing.assert_array_equal(found.miscalibrated.ids, [0, 2])
+    np.testing.assert_array_equal(found.miscalibrated.xy, [[0.0, 1.0], [4.0, 5.0]])

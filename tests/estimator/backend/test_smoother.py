@@ -16,7 +16,7 @@ from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.estimator.intrinsics import IntrinsicCorrections
 from dronevio.estimator.optimization import gauss_newton
 from dronevio.estimator.optimization.linalg import CholeskyFactor, SingularError
-from dronevio.estimator.types import Calibration
+from dronevio.estimator.types import Calibration, Matches
 from dronevio.models.arrays import Array
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, log_so3
@@ -236,6 +236,16 @@ def test_a_restart_keeps_observations_of_the_same_time_and_lens(
     window, last = restarted._window, noiseless.smoother._last_observed[1]
     assert len(window.landmarks.all_observations) == (len(last) if is_kept else 0)
     assert len(last) > 50 and len(restarted.landmarks) == 0
+
+
+def test_a_restart_keeps_no_matches_of_cameras_that_determine_no_depth(noiseless: "KeyframeFeed") -> None:
+    smoother, given = noiseless.smoother, Calibration(noiseless.flight.rig)
+    before, last = smoother._last_observed
+    matches = Matches(last.ids[:9], np.ones(9, np.int64), last.xy[:9])
+    smoother._last_observed = before, replace(last, matches=matches)
+    for without, count in ((frozenset[int](), 9), (frozenset({1}), 0)):
+        restarted = smoother.restarted(replace(given, without_depth=without), np.zeros((15, 15)))
+        assert len(restarted._window.landmarks.all_observations) == len(last) + count
 
 
 def test_a_restart_after_a_failed_correction_keeps_nothing(
