@@ -71,8 +71,9 @@ class CalibrationConfig(Settings):
     min_landmarks: Annotated[int, Range(5, 1000)] = 20
     """Smallest number of landmarks of a window that is adjusted."""
     max_correction_sigmas: Annotated[float, Range(above=0.0, infinite=True)] = 5.0
-    """Largest plausible correction of a parameter, in standard deviations of its prior: 5.7° of a rotation. After a
-    larger one, which shows that images and calibration do not belong together, the health is not tracking again."""
+    """Largest plausible correction of a parameter, in standard deviations of its prior: 5.7° of a rotation. The sum of
+    the squares of all may be as many of its standard deviations above its mean. After larger corrections, which show
+    that images and calibration do not belong together, the health is not tracking again."""
     inflation_sigmas: Annotated[FiveSigmas, Range(0.0, 10.0)] = (0.01, 0.02, 0.1, 0.005, 0.15)
     """Standard deviations of the error that a wrong calibration leaves in the state when it is corrected: orientation
     [rad], position [m], velocity [m/s], gyroscope bias [rad/s] and accelerometer bias [m/s²]. They correspond to a

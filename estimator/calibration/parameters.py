@@ -46,8 +46,8 @@ class ParameterTable:
     rotation between two cameras better than that of each."""
     sigmas: Array
     """(D,) Standard deviations of the given calibration."""
-    limits: Array
-    """(D,) Largest plausible corrections."""
+    max_sigmas: float
+    """Largest plausible correction, in these standard deviations."""
     walk: Array
     """(D,) Random walk, per √s."""
     inverse_depth_errors: Array
@@ -82,7 +82,7 @@ class ParameterTable:
         for group in corrected:
             sigmas[group.rows], walk[group.rows] = group.config.sigma, group.config.walk
         A = np.zeros((0, len(sigmas))) if inverse_depth_errors is None else inverse_depth_errors
-        return cls(corrected, sigmas, config.max_correction_sigmas * sigmas, walk, A)
+        return cls(corrected, sigmas, config.max_correction_sigmas, walk, A)
 
     @property
     def is_unknown(self) -> npt.NDArray[np.bool_]:
@@ -103,6 +103,15 @@ class ParameterTable:
         """(D,) Whether a parameter belongs to one of some groups."""
         rows = [group.rows for group in groups]
         return np.isin(np.arange(len(self.sigmas)), np.concatenate(rows) if rows else [])
+
+    def are_plausible(self, corrections: Array) -> bool:
+        """Return whether corrections (D,) are plausible, each and together; the sum of their squares is χ² distributed.
+
+        What no calibration explains, such as exchanged cameras, takes many corrections, each of which may be plausible.
+        """
+        squares = (corrections / self.sigmas)[self._rows_of(*self.groups)] ** 2
+        n, limit = len(squares), self.max_sigmas
+        return bool((squares <= limit**2).all() and squares.sum() <= n + limit * np.sqrt(2.0 * n))
 
     def refutes_intrinsics(self, change: Array) -> bool:
         """Return whether a change (D,) shows that intrinsics were very wrong."""
