@@ -9,13 +9,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dronevio.estimator.calibration.objective import BIAS_DIM, STATE_DIM, CalibrationObjective
+from dronevio.estimator.calibration.objective import BIAS_DIM, STATE_DIM, CalibrationEquations, CalibrationObjective
 from dronevio.estimator.calibration.window import AdjustmentConfig
 from dronevio.estimator.optimization.gauss_newton import gauss_newton_step
 from dronevio.estimator.optimization.linalg import CholeskyFactor, SingularError
 from dronevio.models.arrays import Array
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import NavState
+
+MAX_RMS_PX, MIN_AGREEMENT = 2.0, 0.5
+"""Largest reprojection error [px] and smallest mean weight of the observations of a window whose result is used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,10 +31,17 @@ class AdjustmentResult:
     """(D, D) Information matrix of the corrections."""
     rms_px: float
     """Root mean square reprojection error, weighted by the robust loss [px]."""
+    agreement: float
+    """Mean weight of the observations in this loss, of the camera where it is smallest."""
     newest: NavState
     """State of the newest keyframe by the corrected calibration, with its covariance relative to the first keyframe."""
     newest_gain: Array
     """(15, D) Change of that state, in the order of `NavState`, if a correction differs from its mean: P_xc P_cc⁻¹."""
+
+    @property
+    def is_consistent(self) -> bool:
+        """Whether the observations of every camera agree with each other."""
+        return self.rms_px < MAX_RMS_PX and self.agreement > MIN_AGREEMENT
 
     def newest_given(self, corrections: Array) -> NavState:
         """Return the state of the newest keyframe if the corrections (D,) are others than the mean.
@@ -88,14 +98,14 @@ class CalibrationProblem:
         if self._is_done:
             newest_and_common = np.arange(len(step.delta))[-len(self._objective.estimated) - BIAS_DIM - STATE_DIM :]
             covariance = step.factor.inverse_block(newest_and_common)
-            self._result = self._result_of(covariance, equations.rms_px)
+            self._result = self._result_of(covariance, equations)
 
-    def _result_of(self, covariance: Array, rms_px: float) -> AdjustmentResult:
+    def _result_of(self, covariance: Array, equations: CalibrationEquations) -> AdjustmentResult:
         """Return the result.
 
         Args:
             covariance: (15 + E, 15 + E) Covariance of the newest keyframe, the biases and the estimated corrections.
-            rms_px: Reprojection error [px].
+            equations: The equations of the last step.
         """
         x, n, estimated = self._x, STATE_DIM + BIAS_DIM, self._objective.estimated
         information = self._objective.prior_information.copy()
@@ -105,4 +115,4 @@ class CalibrationProblem:
         gain[:, estimated] = covariance[:n, n:] @ of_corrections
         T = pose_matrix(x.state.R_world_imu[-1], x.state.p_world_imu[-1])
         newest = NavState(self._newest_ns, T, x.state.v_world_imu[-1], x.bias[:3], x.bias[3:], covariance[:n, :n])
-        return AdjustmentResult(x.corrections, information, rms_px, newest, gain)
+        return AdjustmentResult(x.corrections, information, equations.rms_px, equations.agreement, newest, gain)

@@ -134,7 +134,7 @@ class ParameterEstimate:
         best, _ = given_values(mean, covariance, parameters.is_of_images & ~follows, self.applied)
         applied = np.where(follows, best, self.applied)
         change = applied - self.applied
-        is_plausible = self.is_plausible and parameters.are_plausible(applied)
+        is_plausible = self.is_plausible and parameters.are_plausible(applied, joint[0])
         known = self.fused(mean, covariance, is_complete=is_complete)
         return replace(known, applied=applied, newest_change=change, follows=follows, is_plausible=is_plausible)
 

@@ -84,6 +84,8 @@ class CalibrationEquations:
     """The landmarks; None without any."""
     rms_px: float
     """Root mean square reprojection error, weighted by the robust loss [px]; infinite without landmarks."""
+    agreement: float
+    """Mean weight of the observations in the robust loss, of the camera where it is smallest; 0 without landmarks."""
     scales: None = None
     """The scales of the robust loss do not depend on the variables."""
 
@@ -186,8 +188,8 @@ class CalibrationObjective:
         H, b = np.zeros((n + len(self.estimated), n + len(self.estimated))), np.zeros(n + len(self.estimated))
         self._add_priors(H, b, x, n)
         self._add_imu_factors(H, b, x, n)
-        landmarks, rms_px = self._add_observations(H, b, x, n) if len(x.points) else (None, np.inf)
-        return CalibrationEquations(H, b, x, self.estimated, landmarks, rms_px)
+        landmarks, rms_px, agreement = self._add_observations(H, b, x, n) if len(x.points) else (None, np.inf, 0.0)
+        return CalibrationEquations(H, b, x, self.estimated, landmarks, rms_px, agreement)
 
     def cost(self, x: CalibrationEstimate, scales: None = None) -> float:
         """Return the negative logarithm of the posterior density of some variables, up to a constant."""
@@ -252,8 +254,8 @@ class CalibrationObjective:
 
     def _add_observations(
         self, H: Array, b: Array, x: CalibrationEstimate, n: int
-    ) -> tuple[EliminatedLandmarks, float]:
-        """Add the observations with the landmarks eliminated, and return these and the reprojection error [px]."""
+    ) -> tuple[EliminatedLandmarks, float, float]:
+        """Add the observations with the landmarks eliminated; return these, reprojection error [px] and agreement."""
         observations, L, E, K = self.observations, len(x.points), len(self.estimated), len(x.state.R_world_imu)
         # Jacobians by landmark, pose and corrections, and residuals, in standard deviations of the robust loss
         projection = project(x.state, observations, x.points)
@@ -303,7 +305,10 @@ class CalibrationObjective:
         H[n:, n:] += of_corrections[:, :-1]
         b[n:] += of_corrections[:, -1]
         rms = float(np.sqrt((robust * (projection.residual**2).sum(axis=0)).sum() / robust.sum()))
-        return EliminatedLandmarks(columns, L_inverse, half.reshape(L, 3, -1)), rms * self.focal_px
+        agreement = min(
+            float(robust[observations.camera == camera].mean()) for camera in np.unique(observations.camera)
+        )
+        return EliminatedLandmarks(columns, L_inverse, half.reshape(L, 3, -1)), rms * self.focal_px, agreement
 
 
 def _first_information(config: AdjustmentConfig, first: NavState, *, is_stationary: bool) -> Array:

@@ -40,8 +40,6 @@ MIN_PART_KEYFRAMES = 5
 KEPT_INFLATION = 0.5
 """Share of the covariance inflation up to which the odometry keeps its window; after larger corrections it continues
 from the adjustment's newest state, if that is determined."""
-MAX_RMS_PX = 2.0
-"""Largest root mean square reprojection error of a window whose result is used [px]."""
 MIN_RELATIVE_CORRECTION = 0.0015
 """Smallest correction of the rotation between cameras by the matches of the first keyframe, over all rotation
 parameters together [rad]."""
@@ -252,7 +250,7 @@ class OnlineCalibration:
         while not problem.is_done:
             problem.step()
         result = problem.result
-        if result is None or not result.rms_px < MAX_RMS_PX:
+        if result is None or not result.is_consistent:
             return False
         if np.abs(Corrections.from_vector(result.mean).rotation_rad).max() > MAX_RELATIVE_SIGMAS * c.rotation.sigma:
             return False
@@ -282,7 +280,7 @@ class OnlineCalibration:
         if not isinstance(stage, Adjusting) or not stage.problem.is_done:
             return False
         window, result, self._stage = stage.window, stage.problem.result, Idle()
-        if result is None or not result.rms_px < MAX_RMS_PX:
+        if result is None or not result.is_consistent:
             return False
         # Information filter: the prior of the adjustment was the estimate, so that its posterior is the next estimate
         mean, covariance = result.mean.copy(), _inverse(result.information)

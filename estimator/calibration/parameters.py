@@ -104,14 +104,19 @@ class ParameterTable:
         rows = [group.rows for group in groups]
         return np.isin(np.arange(len(self.sigmas)), np.concatenate(rows) if rows else [])
 
-    def are_plausible(self, corrections: Array) -> bool:
-        """Return whether corrections (D,) are plausible, each and together; the sum of their squares is χ² distributed.
+    def are_plausible(self, applied: Array, mean: Array) -> bool:
+        """Return whether corrections are plausible.
 
-        What no calibration explains, such as exchanged cameras, takes many corrections, each of which may be plausible.
+        Each that is applied has a limit, and so has the sum of the squares of all unknowns, which is χ² distributed:
+        what no calibration explains, such as exchanged cameras, takes many of them, each of which may be plausible.
+
+        Args:
+            applied: (D,) Corrections that are applied.
+            mean: (D,) Estimate of all corrections.
         """
-        squares = (corrections / self.sigmas)[self._rows_of(*self.groups)] ** 2
-        n, limit = len(squares), self.max_sigmas
-        return bool((squares <= limit**2).all() and squares.sum() <= n + limit * np.sqrt(2.0 * n))
+        squares, limit = (mean / self.sigmas)[self.is_unknown] ** 2, self.max_sigmas
+        is_each = bool((np.abs(applied) <= limit * self.sigmas).all())
+        return is_each and bool(squares.sum() <= len(squares) + limit * np.sqrt(2.0 * len(squares)))
 
     def refutes_intrinsics(self, change: Array) -> bool:
         """Return whether a change (D,) shows that intrinsics were very wrong."""

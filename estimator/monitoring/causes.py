@@ -21,6 +21,7 @@ class Cause(StrEnum):
         "images and calibration do not belong together: check the camera-IMU extrinsics, the lens model, the order of"
         " the cameras, and the time stamps"
     )
+    UNKNOWN_CALIBRATION = "the calibration of the cameras is wrong, and not known again yet"
     EXCESSIVE_NOISE = (
         "vibration makes the IMU many times noisier than its data sheet: check its mount, its range and filter, and"
         " that no samples are left out without averaging"

@@ -12,9 +12,9 @@ lost           The state is not finite; or its speed or a bias is implausible; o
                no feature connects with the earlier ones; or the IMU alone has propagated it until its position, by its
                own covariance, is useless; or a vehicle cannot have moved to it. It stays lost until the odometry is
                initialized again.
-inertial-only  A correction of the calibration was implausible; or the innovations, or the change of the position by
-               such a correction, have recently contradicted their covariance; or too few landmarks constrain the
-               estimate, and the vehicle is not stationary; or vibration is aliased.
+inertial-only  A correction of the calibration was implausible, or leaves it unknown; or the innovations, or the change
+               of the position by such a correction, have recently contradicted their covariance; or too few landmarks
+               constrain the estimate, and the vehicle is not stationary; or vibration is aliased.
 tracking       Landmarks constrain the estimate, or the vehicle is stationary or has only begun to move.
 """
 
@@ -35,6 +35,8 @@ class Assessment(HealthQuantities):
     """Whether innovations have agreed with their covariance for long enough."""
     is_calibration_plausible: bool = True
     """Whether all corrections of the calibration have been plausible."""
+    is_calibration_known: bool = True
+    """Whether the calibration determines depths, so that it has not been refuted without being known again."""
     is_noise_excessive: bool = False
     """Whether images and samples show that the noise of the IMU is far above that of its data sheet."""
     is_noise_aliased: bool = False
@@ -64,6 +66,8 @@ def _status(a: Assessment, c: HealthConfig) -> tuple[Health, Reason]:
         return Health.LOST, a.loss
     if not a.is_calibration_plausible:
         return Health.INERTIAL_ONLY, Reason.of(Cause.IMPLAUSIBLE_CALIBRATION)
+    if not a.is_calibration_known:
+        return Health.INERTIAL_ONLY, Reason.of(Cause.UNKNOWN_CALIBRATION)
     if not a.is_consistent:
         return Health.INERTIAL_ONLY, Reason.of(Cause.INCONSISTENT)
     if not (is_constrained or a.stationary or is_settling):

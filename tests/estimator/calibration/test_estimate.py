@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.calibration.config import CalibrationConfig
-from dronevio.estimator.calibration.corrections import GRAVITY, GYRO_SCALE, Corrections, inverse_depth_errors
+from dronevio.estimator.calibration.corrections import GRAVITY, Corrections, inverse_depth_errors
 from dronevio.estimator.calibration.estimate import ParameterEstimate, covariance_inflation, inflation_share
 from dronevio.estimator.calibration.parameters import FIXED_SIGMA, ParameterTable
 from dronevio.estimator.calibration.significance import STATIONARY_SIGMAS, SignificanceTest
@@ -39,13 +39,12 @@ def test_all_parameters_but_the_gyroscope_and_the_position_of_one_camera_are_cor
 
 
 def test_corrections_are_plausible_each_and_together() -> None:
-    """The sum of nine squares is 9 ± √18: 30.2 is five standard deviations above the mean, 1.83² each."""
+    """The sum of ten squares is 10 ± √20: 32.4 is five standard deviations above the mean, 1.8² each."""
     one, of_all = corrections(x_rad=1.0) * PARAMETERS.sigmas, np.where(PARAMETERS.is_unknown, PARAMETERS.sigmas, 0.0)
-    of_all[GYRO_SCALE] = 0.0
-    for correction, largest in ((one, 5.0), (of_all, 1.83)):
-        assert PARAMETERS.are_plausible(0.99 * largest * correction)
-        assert not PARAMETERS.are_plausible(-1.01 * largest * correction)
-        assert replace(PARAMETERS, max_sigmas=np.inf).are_plausible(1e3 * correction)
+    for applied, mean, largest in ((one, 0.0 * one, 5.0), (0.0 * one, of_all, 1.8)):
+        assert PARAMETERS.are_plausible(0.99 * largest * applied, -0.99 * largest * mean)
+        assert not PARAMETERS.are_plausible(1.01 * largest * applied, -1.01 * largest * mean)
+        assert replace(PARAMETERS, max_sigmas=np.inf).are_plausible(1e3 * applied, 1e3 * mean)
 
 
 def test_uncertainty_grows_from_window_to_window() -> None:

@@ -223,10 +223,9 @@ def test_the_adjustment_ends_with_a_short_step(noiseless: "SyntheticFlight", mon
     assert ends == [False, True]
 
 
-def test_the_state_given_corrections_is_that_of_their_problem(make_flight: MakeFlight) -> None:
-    """Its conditional expectation given a rotation of 0.1° is the result of an adjustment with that rotation known."""
-    flight = make_flight(0, rest_s=-5.0, duration_s=3.0)
-    window = [
+def window_of(flight: "SyntheticFlight") -> list[WindowKeyframe]:
+    """Return the keyframes of a flight without errors, with observations of the first camera."""
+    return [
         WindowKeyframe(
             k.state,
             k.rate_rad_s,
@@ -239,6 +238,33 @@ def test_the_state_given_corrections_is_that_of_their_problem(make_flight: MakeF
         )
         for k in keyframes(flight, Errors())
     ]
+
+
+def test_agreement_is_that_of_the_camera_where_it_is_smallest(make_flight: MakeFlight) -> None:
+    """The first of two cameras observes all landmarks where they are, the second one a third of them."""
+    flight = make_flight(0, rest_s=-5.0, duration_s=3.0)
+    rig = replace(flight.rig, cameras=flight.rig.cameras * 2)
+    estimated, information = np.zeros(23, np.bool_), 1e14 * np.eye(23)
+    agreements = []
+    for wrong_px in (0.0, 40.0):
+        window = []
+        for k in window_of(flight):
+            displaced = np.where(k.ids % 3 == 0, 0.0, wrong_px / 458.0)[:, None] * [0.0, 1.0]
+            two = np.concatenate([k.camera, k.camera + 1]), np.concatenate([k.xy, k.xy + displaced])
+            window.append(replace(k, ids=np.tile(k.ids, 2), camera=two[0], xy=two[1]))
+        config = AdjustmentConfig(max_reprojection_px=100.0)
+        objective = CalibrationObjective.of(
+            window, Calibration(rig), config, np.zeros(23), information, estimated, GRAVITY_M_S2
+        )
+        agreements.append(objective.linearize(objective.initial).agreement)
+    assert agreements[0] > 0.8
+    assert agreements[1] == pytest.approx(0.33, abs=0.08)
+
+
+def test_the_state_given_corrections_is_that_of_their_problem(make_flight: MakeFlight) -> None:
+    """Its conditional expectation given a rotation of 0.1° is the result of an adjustment with that rotation known."""
+    flight = make_flight(0, rest_s=-5.0, duration_s=3.0)
+    window = window_of(flight)
     config = AdjustmentConfig(iterations=20, max_decrement=1e-10)
     calibration = Calibration(flight.rig)
     estimated, prior = np.isin(np.arange(13), [0, 3, 4, 5]), np.diag(np.repeat([1e4, 2.5e3], [3, 10]))

@@ -29,6 +29,8 @@ class Adjustments:
     """Corrections by each adjustment."""
     steps: int = 1
     """Number of steps of each adjustment."""
+    fit: tuple[float, float] = (0.5, 0.9)
+    """Reprojection error [px] and agreement of each result."""
     landmarks: Callable[[int], int] = lambda index: 100
     """Number of landmarks of each window by its index."""
     windows: list[tuple[WindowKeyframe, ...]] = field(default_factory=list)
@@ -62,7 +64,7 @@ class Problem:
     def result(self) -> AdjustmentResult:
         n = len(self.given.mean)
         newest = self.keyframes[-1].state
-        return AdjustmentResult(self.given.mean.copy(), 1e14 * np.eye(n), 0.5, newest, np.zeros((15, n)))
+        return AdjustmentResult(self.given.mean.copy(), 1e14 * np.eye(n), *self.given.fit, newest, np.zeros((15, n)))
 
     def step(self) -> None:
         self.steps += 1
@@ -100,11 +102,20 @@ def times_s(window: tuple[WindowKeyframe, ...]) -> list[float]:
 
 def test_an_adjustment_goes_on_if_the_next_has_few_landmarks(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first part, of 1.2 s, takes four steps; the longer ones after it see too little."""
-    adjustments = Adjustments(corrections(time_offset_s=0.002), 4, lambda index: 100 if index == 0 else 3)
+    adjustments = Adjustments(corrections(time_offset_s=0.002), 4, landmarks=lambda index: 100 if index == 0 else 3)
     calibration, corrected_s = fed(monkeypatch, adjustments, [True] + [False] * 12)
     assert times_s(adjustments.windows[0]) == pytest.approx([0.0, 1.2])
     assert len(adjustments.windows) > 1
     assert corrected_s == pytest.approx([3.3]) and calibration.applied.time_offset_s == 0.002
+
+
+@pytest.mark.parametrize(("fit", "is_used"), [((1.9, 0.6), True), ((2.1, 0.6), False), ((1.9, 0.4), False)])
+def test_windows_whose_observations_disagree_correct_nothing(
+    monkeypatch: pytest.MonkeyPatch, fit: tuple[float, float], is_used: bool
+) -> None:
+    adjustments = Adjustments(corrections(time_offset_s=0.002), fit=fit)
+    _, corrected_s = fed(monkeypatch, adjustments, [True] + [False] * 12)
+    assert bool(corrected_s) == is_used and adjustments.windows
 
 
 def test_a_part_of_a_window_corrects_the_calibration(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,6 +17,7 @@ EVERYTHING = Assessment(
     loss=Reason.of(Cause.SPEED, speed_m_s=90.0),
     is_consistent=False,
     is_calibration_plausible=False,
+    is_calibration_known=False,
     is_noise_aliased=True,
 )
 
@@ -28,6 +29,7 @@ def test_the_gravest_cause_comes_first() -> None:
         {},
         {"loss": None},
         {"is_calibration_plausible": True},
+        {"is_calibration_known": True},
         {"is_consistent": True},
         {"landmarks": CONFIG.min_landmarks},
         {"is_noise_aliased": False},
@@ -41,6 +43,7 @@ def test_the_gravest_cause_comes_first() -> None:
     assert causes == [
         (Health.LOST, Cause.SPEED),
         (Health.INERTIAL_ONLY, Cause.IMPLAUSIBLE_CALIBRATION),
+        (Health.INERTIAL_ONLY, Cause.UNKNOWN_CALIBRATION),
         (Health.INERTIAL_ONLY, Cause.INCONSISTENT),
         (Health.INERTIAL_ONLY, Cause.FEW_LANDMARKS),
         (Health.INERTIAL_ONLY, Cause.EXCESSIVE_NOISE),
