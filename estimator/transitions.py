@@ -83,7 +83,7 @@ def publish(
         assessment,
         is_consistent=tracking.monitor.is_consistent,
         is_calibration_plausible=parts.calibrator.is_plausible,
-        is_calibration_known=not parts.calibration.without_depth,
+        is_calibration_known=parts.calibrator.is_known,
         is_noise_excessive=parts.noise.is_excessive,
         is_noise_aliased=parts.noise.is_aliased,
     )

@@ -58,6 +58,11 @@ class Calibrator:
         return self._online.is_plausible
 
     @property
+    def is_known(self) -> bool:
+        """Whether the given calibration has not been refuted, or the calibration is known again."""
+        return self._online.is_known
+
+    @property
     def gravity_m_s2(self) -> float:
         """The magnitude of gravity in use [m/s²]."""
         return self._gravity_m_s2 + self.calibration.gravity_correction_m_s2

@@ -23,6 +23,8 @@ INFLATION_CORRECTION = (5e-3, np.radians(1.0))
 `CalibrationConfig.inflation_sigmas` correspond."""
 MAX_INVERSE_DEPTH_ERROR = 0.02
 """Largest error of inverse depths by stereo [1/m] that a corrected calibration may have."""
+KNOWN_SHARE = 0.5
+"""Standard deviation of a rotation, relative to that of its prior, below which it is known again."""
 MAX_DISAGREEMENT = 3.0
 """Standard deviations of χ² above its mean up to which intrinsics in use agree with an estimate."""
 MIN_INFLATION = 0.03
@@ -66,12 +68,22 @@ class ParameterEstimate:
         offset_s, *view_rad, focal, radial = self.errors(seen_errors(len(self.mean)))
         return CalibrationSigmas(float(offset_s), float(max(view_rad)), float(np.hypot(focal, MEAN_RADIUS2 * radial)))
 
+    def is_refuted(self, parameters: ParameterTable) -> bool:
+        """Return whether images have refuted given rotations or intrinsics."""
+        return bool((self.follows & parameters.is_of_images).any())
+
+    def is_known(self, parameters: ParameterTable) -> bool:
+        """Return whether the given calibration is not refuted, or the rotation of the first camera is known again."""
+        if not self.is_refuted(parameters):
+            return True
+        return self.seen_sigmas.rotation_rad < KNOWN_SHARE * self.prior(parameters).seen_sigmas.rotation_rad
+
     def cameras_without_depth(self, parameters: ParameterTable) -> frozenset[int]:
         """Return the indices of the cameras whose matches do not determine depths.
 
         The given calibration is presumed to determine them until images refute it; from then on, it must be known.
         """
-        if not (self.follows & parameters.is_of_images).any():
+        if not self.is_refuted(parameters):
             return frozenset()
         errors = self.errors(parameters.inverse_depth_errors)
         return frozenset((np.flatnonzero(errors > MAX_INVERSE_DEPTH_ERROR) // ROWS_PER_CAMERA).tolist())

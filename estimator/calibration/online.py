@@ -158,6 +158,11 @@ class OnlineCalibration:
         return self._estimate.is_plausible
 
     @property
+    def is_known(self) -> bool:
+        """Whether the given calibration has not been refuted, or the calibration is known again."""
+        return self._estimate.is_known(self._prior.parameters)
+
+    @property
     def covariance_inflation(self) -> Array:
         """(15, 15) Covariance of the error that the last correction leaves in a state, in the order of `NavState`."""
         return covariance_inflation(self._estimate.newest_change, self._prior.config)

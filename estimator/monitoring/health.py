@@ -36,7 +36,7 @@ class Assessment(HealthQuantities):
     is_calibration_plausible: bool = True
     """Whether all corrections of the calibration have been plausible."""
     is_calibration_known: bool = True
-    """Whether the calibration determines depths, so that it has not been refuted without being known again."""
+    """Whether the given calibration has not been refuted, or the calibration is known again."""
     is_noise_excessive: bool = False
     """Whether images and samples show that the noise of the IMU is far above that of its data sheet."""
     is_noise_aliased: bool = False

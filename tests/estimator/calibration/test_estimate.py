@@ -257,6 +257,23 @@ def test_cameras_whose_calibration_is_refuted_must_be_known_for_depths() -> None
     assert only_time is not None and only_time.cameras_without_depth(OF_TWO) == frozenset()
 
 
+def test_a_refuted_calibration_is_known_by_the_rotation_of_the_first_camera() -> None:
+    """A window of the matches alone refutes the cameras, but leaves the rotation that they have in common."""
+    prior, test = (
+        ParameterEstimate.prior(OF_TWO),
+        SignificanceTest.of_window(CONFIG, 2, begins_stationary=False, is_complete=True),
+    )
+    assert prior.is_known(OF_TWO) and not prior.is_refuted(OF_TWO)
+    mean, view = np.zeros(23), [3, 4, 5, 10, 11]  # rotation and principal point of the first camera
+    mean[SECOND_TURNED] = 0.05
+    for share, is_known in ((0.6, False), (0.4, True)):
+        covariance = 1e-12 * np.eye(23)
+        covariance[view, view] = (share * OF_TWO.sigmas[view]) ** 2
+        found = prior.corrected(mean, covariance, OF_TWO, test, is_complete=True)
+        assert found is not None and found.is_refuted(OF_TWO)
+        assert found.is_known(OF_TWO) == is_known
+
+
 def corrections_of_two(time_offset_s: float) -> Array:
     mean = np.zeros(23)
     mean[0] = time_offset_s
