@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrections import GRAVITY, MEAN_RADIUS2, ROWS_PER_CAMERA, Corrections, seen_errors
-from dronevio.estimator.calibration.parameters import ParameterTable
+from dronevio.estimator.calibration.parameters import ParameterTable, largest_chi2
 from dronevio.estimator.calibration.significance import SignificanceTest
 from dronevio.estimator.types import CalibrationSigmas
 from dronevio.models.arrays import Array
@@ -23,8 +23,9 @@ INFLATION_CORRECTION = (5e-3, np.radians(1.0))
 `CalibrationConfig.inflation_sigmas` correspond."""
 MAX_INVERSE_DEPTH_ERROR = 0.02
 """Largest error of inverse depths by stereo [1/m] that a corrected calibration may have."""
-KNOWN_SHARE = 0.5
-"""Standard deviation of a rotation, relative to that of its prior, below which it is known again."""
+MAX_ROTATION_ERROR = 0.0112
+"""Largest standard deviation of the rotation of a view by which a refuted calibration is known again [rad]: half of the
+prior."""
 MAX_DISAGREEMENT = 3.0
 """Standard deviations of χ² above its mean up to which intrinsics in use agree with an estimate."""
 MIN_INFLATION = 0.03
@@ -74,9 +75,7 @@ class ParameterEstimate:
 
     def is_known(self, parameters: ParameterTable) -> bool:
         """Return whether the given calibration is not refuted, or the rotation of the first camera is known again."""
-        if not self.is_refuted(parameters):
-            return True
-        return self.seen_sigmas.rotation_rad < KNOWN_SHARE * self.prior(parameters).seen_sigmas.rotation_rad
+        return not self.is_refuted(parameters) or self.seen_sigmas.rotation_rad < MAX_ROTATION_ERROR
 
     def cameras_without_depth(self, parameters: ParameterTable) -> frozenset[int]:
         """Return the indices of the cameras whose matches do not determine depths.
@@ -165,7 +164,7 @@ def given_values(mean: Array, covariance: Array, is_given: npt.NDArray[np.bool_]
     """
     n, known = int(is_given.sum()), np.flatnonzero(is_given)
     difference, P = (values - mean)[known], covariance[np.ix_(known, known)]
-    if not n or difference @ np.linalg.solve(P, difference) > n + MAX_DISAGREEMENT * np.sqrt(2.0 * n):
+    if not n or difference @ np.linalg.solve(P, difference) > largest_chi2(n, MAX_DISAGREEMENT):
         return mean, covariance
     gain = np.linalg.solve(P, covariance[known]).T
     return mean + gain @ difference, covariance - gain @ covariance[known]

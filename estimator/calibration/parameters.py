@@ -18,6 +18,11 @@ REFUTED_SIGMAS, REFUTED_FOCAL_SIGMAS = 1.5, 0.7
 shows that the given ones were very wrong."""
 
 
+def largest_chi2(n: int, sigmas: float) -> float:
+    """Return the χ² of n degrees of freedom that is some of its standard deviations above its mean."""
+    return n + sigmas * float(np.sqrt(2.0 * n))
+
+
 @dataclass(frozen=True, eq=False)
 class ParameterGroup:
     """Parameters that are corrected together."""
@@ -116,7 +121,7 @@ class ParameterTable:
         """
         squares, limit = (mean / self.sigmas)[self.is_unknown] ** 2, self.max_sigmas
         is_each = bool((np.abs(applied) <= limit * self.sigmas).all())
-        return is_each and bool(squares.sum() <= len(squares) + limit * np.sqrt(2.0 * len(squares)))
+        return is_each and bool(squares.sum() <= largest_chi2(len(squares), limit))
 
     def refutes_intrinsics(self, change: Array) -> bool:
         """Return whether a change (D,) shows that intrinsics were very wrong."""

@@ -12,9 +12,10 @@ lost           The state is not finite; or its speed or a bias is implausible; o
                no feature connects with the earlier ones; or the IMU alone has propagated it until its position, by its
                own covariance, is useless; or a vehicle cannot have moved to it. It stays lost until the odometry is
                initialized again.
-inertial-only  A correction of the calibration was implausible, or leaves it unknown; or the innovations, or the change
-               of the position by such a correction, have recently contradicted their covariance; or too few landmarks
-               constrain the estimate, and the vehicle is not stationary; or vibration is aliased.
+inertial-only  A correction of the calibration was implausible; or one leaves it unknown, which only motion can end, and
+               the vehicle is not stationary; or the innovations, or the change of the position by a correction, have
+               recently contradicted their covariance; or too few landmarks constrain the estimate, and the vehicle is
+               not stationary; or vibration is aliased.
 tracking       Landmarks constrain the estimate, or the vehicle is stationary or has only begun to move.
 """
 
@@ -66,7 +67,7 @@ def _status(a: Assessment, c: HealthConfig) -> tuple[Health, Reason]:
         return Health.LOST, a.loss
     if not a.is_calibration_plausible:
         return Health.INERTIAL_ONLY, Reason.of(Cause.IMPLAUSIBLE_CALIBRATION)
-    if not a.is_calibration_known:
+    if not (a.is_calibration_known or a.stationary):
         return Health.INERTIAL_ONLY, Reason.of(Cause.UNKNOWN_CALIBRATION)
     if not a.is_consistent:
         return Health.INERTIAL_ONLY, Reason.of(Cause.INCONSISTENT)

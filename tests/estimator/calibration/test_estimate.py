@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dronevio.estimator.calibration.config import CalibrationConfig
+from dronevio.estimator.calibration.config import CalibratedPart, CalibrationConfig
 from dronevio.estimator.calibration.corrections import GRAVITY, Corrections, inverse_depth_errors
 from dronevio.estimator.calibration.estimate import ParameterEstimate, covariance_inflation, inflation_share
 from dronevio.estimator.calibration.parameters import FIXED_SIGMA, ParameterTable
@@ -272,6 +272,16 @@ def test_a_refuted_calibration_is_known_by_the_rotation_of_the_first_camera() ->
         found = prior.corrected(mean, covariance, OF_TWO, test, is_complete=True)
         assert found is not None and found.is_refuted(OF_TWO)
         assert found.is_known(OF_TWO) == is_known
+
+
+def test_a_refuted_focal_length_is_known_where_no_rotation_is_corrected() -> None:
+    off = CalibratedPart(False, 0.02, 0.0, 0.0)
+    parameters = ParameterTable.of(replace(CONFIG, rotation=off, principal=off), 1)
+    test = SignificanceTest.of_window(CONFIG, 1, begins_stationary=False, is_complete=True)
+    mean = np.zeros(13)
+    mean[9] = 0.03
+    found = ParameterEstimate.prior(parameters).corrected(mean, CERTAIN, parameters, test, is_complete=True)
+    assert found is not None and found.is_refuted(parameters) and found.is_known(parameters)
 
 
 def corrections_of_two(time_offset_s: float) -> Array:

@@ -176,18 +176,11 @@ def test_a_corrected_focal_length_mends_the_state_in_motion(
     make_flight: MakeFlight, cameras: int, wrong_m_s: float
 ) -> None:
     """Focal lengths 5 % off make the estimate drift; their correction ends that at once."""
-    flight = make_flight(0, rest_s=-5.0, duration_s=14.0)
-    true = replace(rig_named("euroc-stereo"), imu=flight.rig.imu, T_vehicle_imu=flight.rig.T_vehicle_imu)
-    flight = replace(flight, rig=replace(true, cameras=true.cameras[:cameras]))
+    flight = stereo_flight(make_flight(0, rest_s=-5.0, duration_s=14.0))
+    flight = replace(flight, rig=replace(flight.rig, cameras=flight.rig.cameras[:cameras]))
     models = [replace(c.model, fx=1.05 * c.model.fx, fy=1.05 * c.model.fy) for c in flight.rig.cameras]
     wrong = (replace(camera, model=model) for camera, model in zip(flight.rig.cameras, models, strict=True))
-    rig = replace(flight.rig, cameras=tuple(wrong))
-    vio, estimates = VisualInertialOdometry(rig, front_end=WrongLenses(flight, rig)), []
-    for measurement in measurements(flight):
-        if isinstance(measurement, ImuSamples):
-            vio.add_imu(measurement)
-        else:
-            estimates.append(vio.add_frame(measurement))
+    estimates = estimated_by(flight, replace(flight.rig, cameras=tuple(wrong)))
     corrected = next(i for i, e in enumerate(estimates) if any("focal length" in x for x in e.events))
 
     def velocity_errors(rows: range) -> tuple[Array, Array]:

@@ -68,6 +68,12 @@ def test_texts_have_the_numbers_of_the_frame(changes: dict[str, object], text: s
     assert health_report(Assessment(**known), CONFIG).reason == text  # type: ignore[arg-type]
 
 
+def test_a_stationary_vehicle_may_move_to_calibrate_itself() -> None:
+    """An autopilot that waits for `tracking` would otherwise wait forever."""
+    report = health_report(Assessment(is_calibration_known=False, stationary=True), CONFIG)
+    assert (report.health, report.cause) == (Health.TRACKING, Cause.STATIONARY)
+
+
 def test_few_tracks_with_an_image_are_not_settling() -> None:
     few = Assessment(tracks=CONFIG.min_landmarks - 1)
     assert health_report(few, CONFIG).cause is Cause.FEW_LANDMARKS
